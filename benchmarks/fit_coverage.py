@@ -24,7 +24,8 @@ from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
-from gspn_framework_package.model.plan import FailureKind, FailureRule, Plan, RobotSpec
+from gspn_framework_package.model.failure import FailureRule
+from gspn_framework_package.model.plan import Plan, RobotSpec
 
 Interval = Tuple[float, float]
 
@@ -76,7 +77,7 @@ def truth() -> Plan:
         outcomes={"look": {"found": 0.6, "nothing": 0.4}},
         failures={"grip": 0.15},
         timeouts={"wait": 1.2},
-        on_failure={"*": FailureRule(FailureKind.RETRY, 1_000, 0.1)},
+        on_failure={"*": FailureRule.retry(1_000, 0.1)},
         simulate_environment=True,
     ).validate()
 

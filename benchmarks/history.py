@@ -40,7 +40,8 @@ from gspn_framework_package.fleet.store import Store, file_name
 from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.duration import Duration
-from gspn_framework_package.model.plan import FailureKind, FailureRule, Plan
+from gspn_framework_package.model.failure import FailureRule
+from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import PlanTiming
 
 BEGIN = 20_454 * DAY_SECONDS
@@ -67,7 +68,7 @@ def patrol(robots: int) -> Plan:
         for place in plan.action_places
     }
     failures = {place: 0.002 for place in plan.action_places if ":Check" in place}
-    retry = FailureRule(FailureKind.RETRY, 1_000_000)
+    retry = FailureRule.retry(1_000_000)
     return replace(plan, durations=durations, failures=failures, on_failure={"*": retry}).validate()
 
 

@@ -30,9 +30,8 @@ from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.model.event import EventSource, Tasks
+from gspn_framework_package.model.failure import FailureRule
 from gspn_framework_package.model.plan import (
-    FailureKind,
-    FailureRule,
     Plan,
     RobotSpec,
     Synchronisation,
@@ -103,7 +102,7 @@ def courier_plan(robots: int) -> Plan:
         },
         tasks=Tasks(("Orders",), ("delivered",)),
         on_evict={"Deliver": {"Orders": 1}},
-        on_failure={"*": FailureRule(FailureKind.RETRY, 1000)},
+        on_failure={"*": FailureRule.retry(1000)},
         timing=Timing(EVICT_AFTER),
     ).validate()
 

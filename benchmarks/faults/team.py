@@ -13,9 +13,8 @@ from benchmarks.faults import dying_node
 from benchmarks.harness.team import NodeTeam
 from benchmarks.plans import BRIEF, tokens_plan
 from gspn_framework_package.model.errors import ExecutionError
+from gspn_framework_package.model.failure import FailureRule
 from gspn_framework_package.model.plan import (
-    FailureKind,
-    FailureRule,
     Plan,
     Synchronisation,
     Timing,
@@ -40,7 +39,7 @@ class FaultyTeam(NodeTeam):
     ) -> None:
         # on a busy machine an action server may be slow to accept a goal; by default its robot
         # would wait for the operator
-        again = FailureRule(FailureKind.RETRY, 1000)
+        again = FailureRule.retry(1000)
         plan = replace(
             (plan or tokens_plan(BRIEF)).for_robots(robots),
             on_failure={"*": again},

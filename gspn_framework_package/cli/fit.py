@@ -8,13 +8,13 @@ import os
 from typing import List, Mapping, NamedTuple, Sequence, Tuple
 
 from gspn_framework_package.analysis.executors import open_executor
-from gspn_framework_package.analysis.fitting import FamilyChoice, FitReport, PlaceFit, fit_plan
+from gspn_framework_package.analysis.fitting import FitReport, PlaceFit, family_choices, fit_plan
 from gspn_framework_package.analysis.limits import DEFAULT_MEMORY
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.limits import ON_OPTION, working
 from gspn_framework_package.cli.net_input import print_notes
-from gspn_framework_package.cli.options import Argument, Arguments, choice
+from gspn_framework_package.cli.options import Argument, Arguments, add_options, choice
 from gspn_framework_package.cli.plan_output import plan_path, refuse_existing, write_plan
 from gspn_framework_package.execution.event_log import log_files
 from gspn_framework_package.execution.logged_attempts import gather
@@ -35,18 +35,20 @@ class Learned(NamedTuple):
     attempts: int
 
 
-FIT_OPTIONS: Arguments = {
-    choice("--durations", [choice.value for choice in FamilyChoice], FamilyChoice.AUTO.value): (
-        "the distribution of durations: the one that fits the times best, or a fixed one (default "
-        "%(default)s)"
-    ),
-    Argument("--seed", kind=numbers.seed, default=0): (
-        "seed of the simulated tests (default %(default)s)"
-    ),
-}
-"""How to fit."""
+def fit_options() -> Arguments:
+    """How to fit."""
+    return {
+        choice("--durations", family_choices(), "auto"): (
+            "the distribution of durations: the one that fits the times best, or a fixed one "
+            "(default %(default)s)"
+        ),
+        Argument("--seed", kind=numbers.seed, default=0): (
+            "seed of the simulated tests (default %(default)s)"
+        ),
+    }
 
-OPTIONS: Arguments = {
+
+_OPTIONS: Arguments = {
     Argument("plan", "PLAN"): "a plan file, or a folder with a plan.json",
     Argument("logs", "LOG", nargs="+"): (
         "event logs of runs of the plan, or folders of them; for a team, give the logs of all its "
@@ -56,7 +58,9 @@ OPTIONS: Arguments = {
         "the plan with the learned parameters: a new .json file, or a folder for plan.json and the "
         "functions"
     ),
-    **FIT_OPTIONS,
+}
+
+_OUTPUT: Arguments = {
     **ON_OPTION,
     "--force": "overwrite NEW_PLAN if it exists",
     "--json": "print the report as one JSON object",
@@ -65,13 +69,18 @@ OPTIONS: Arguments = {
 EPILOG = "Exit codes: 0 the plan was written, 2 not a plan, or not logs of its net."
 
 
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    add_options(parser, {**_OPTIONS, **fit_options(), **_OUTPUT})
+
+
 def run(args: argparse.Namespace) -> int:
     """Fit the plan, write it, and print what was learned."""
     plan = read_plan(args.plan)
     path = plan_path(args.output)
     if not args.force:
         refuse_existing(path, "give the name of a new file, or --force")
-    learned = learn(plan, args.logs, FamilyChoice(args.durations), args.seed, args.on)
+    learned = learn(plan, args.logs, args.durations, args.seed, args.on)
     new = learned.report.apply(plan, learned.logs)
     data = plan_document(args.plan, new, os.path.dirname(os.path.abspath(path)))
     notes: List[str] = []
@@ -96,9 +105,7 @@ def _print(learned: Learned, notes: Sequence[str], as_json: bool) -> None:
     print_notes([*learned.report.notes, *notes])
 
 
-def learn(
-    plan: Plan, paths: Sequence[str], choice: FamilyChoice, seed: int, on: str = "local"
-) -> Learned:
+def learn(plan: Plan, paths: Sequence[str], choice: str, seed: int, on: str = "local") -> Learned:
     """Read logs and fit the plan, with a progress line; an interrupt ends it.
 
     :param on: the executor, as given by ``--on``.

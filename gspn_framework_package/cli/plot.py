@@ -11,11 +11,11 @@ from typing import Any, List, Mapping, Sequence, Union
 import numpy as np
 
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.fitting import FamilyChoice, PlaceFit
+from gspn_framework_package.analysis.fitting import PlaceFit
 from gspn_framework_package.analysis.fitting.durations import kaplan_meier
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli import numbers
-from gspn_framework_package.cli.fit import FIT_OPTIONS, learn
+from gspn_framework_package.cli.fit import fit_options, learn
 from gspn_framework_package.cli.limits import LIMIT_OPTIONS, limits_of, working
 from gspn_framework_package.cli.net_input import add_subject_arguments, print_notes, read_subject
 from gspn_framework_package.cli.options import Argument, Arguments, add_options, choice
@@ -65,7 +65,6 @@ _FIT: Arguments = {
         "plot for each place the durations in these event logs: a histogram with the fitted "
         "density, and their quantiles against those of the fitted distribution"
     ),
-    **FIT_OPTIONS,
 }
 
 
@@ -74,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_subject_arguments(parser)
     add_options(parser, _OPTIONS)
     fit = parser.add_argument_group("durations of a plan, learned from logs (gspn fit)")
-    add_options(fit, _FIT)
+    add_options(fit, {**_FIT, **fit_options()})
     add_options(parser.add_argument_group("effort"), LIMIT_OPTIONS)
 
 
@@ -129,7 +128,7 @@ def _plot_fit(subject: Union[Net, Plan], notes: List[str], args: argparse.Namesp
     """Plot the durations in logs next to the fitted distributions."""
     if not isinstance(subject, Plan):
         raise UsageError("this is a net, which has no actions", hint="give the plan that ran")
-    learned = learn(subject, args.fit, FamilyChoice(args.durations), args.seed)
+    learned = learn(subject, args.fit, args.durations, args.seed)
     fitted = {p: found for p, found in learned.report.places.items() if found.fit is not None}
     if not fitted:
         raise UsageError(

@@ -29,7 +29,7 @@ from gspn_framework_package.execution.turn import ASKS_POLICY
 from gspn_framework_package.model.attempt import Attempt, EventCount
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.outcome import Outcome
-from gspn_framework_package.model.plan import FailureKind, Plan
+from gspn_framework_package.model.plan import Plan
 
 OUTAGE = 1.0
 """Seconds. If a team takes longer than this to agree that an action has ended, for example because
@@ -87,7 +87,9 @@ class AttemptFollower:
         """When and how the log's own robot's attempt ended, before the team has agreed on it."""
         self._delay = 0.0
         """Delay in seconds before the next goal of the log's own robot starts."""
-        self._interrupts = [t for t, e in self._game.interrupts.items() if e.after is None]
+        self._failures = 0
+        """How often its action has failed since its visit began, or the operator had it retry."""
+        self._interrupts = [t for t, e in self._game.interrupts.items() if e.comes_after is None]
         self._interrupts = [t for t in self._interrupts if self._game.has_robots[t]]
         self._arrivals = {
             t
@@ -234,7 +236,7 @@ class AttemptFollower:
             return self._completed(entry, going, end)
         if isinstance(entry, log_entries.Retry):
             if entry.robot == self.robot:
-                self._delay = 0.0
+                self._delay, self._failures = 0.0, 0
         elif isinstance(entry, log_entries.Join):
             if entry.robot == self.robot:
                 self._live = self._live or entry.incarnation >= self._life
@@ -278,6 +280,8 @@ class AttemptFollower:
         )
         self.plan.net.place_number(going.place)
         delay, self._delay = self._delay, 0.0
+        if going.attempt == 1:
+            self._failures = 0
         known = self._going.get(self.robot)
         ended = self._cut(self.robot, self.now) if known is not None else []
         self._going[self.robot] = going._replace(start=self.now + delay)
@@ -314,8 +318,9 @@ class AttemptFollower:
             if self._is_bad(going.place, result):
                 result, failed = "", Outcome.BAD_RESULT
         if entry.robot == self.robot:
+            self._failures = self._failures + 1 if failed else 0
             rule = self.plan.failure_rule(going.place)
-            self._delay = rule.delay if failed and rule.kind is FailureKind.RETRY else 0.0
+            self._delay = rule.delay(self._failures) if failed else 0.0
         return self._attempt(entry.robot, going, end, True, result, failed)
 
     def _cut(self, robot: str, end: float) -> List[Attempt]:

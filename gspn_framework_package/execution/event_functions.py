@@ -88,6 +88,12 @@ class EventHost(NamedTuple):
     data_of: Callable[[str], Mapping[str, Any]]
 
 
+def _function_of(plan: Plan, source: EventSource) -> EventFunction:
+    if source.kind is not None:
+        return EventFunction(source.kind.function, source.kind.name, source.settings)
+    return load_function(plan.folder, source.function, source.settings, EventFunction)
+
+
 class EventFunctions:
     """Runs the functions of a plan's events.
 
@@ -103,7 +109,7 @@ class EventFunctions:
     def __init__(self, plan: Plan, host: EventHost, *, topics: bool) -> None:
         self._host = host
         self._events = {
-            t: (source, load_function(plan.folder, source.function, source.settings, EventFunction))
+            t: (source, _function_of(plan, source))
             for t, source in plan.events.items()
             if source.asks_function(topics)
         }

@@ -21,8 +21,8 @@ from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.rules import Rules
 from gspn_framework_package.execution.team_state import Draw, RobotState, Task, TeamState
 from gspn_framework_package.model.data import NAMES_LIMIT, split
+from gspn_framework_package.model.failure import FailureEnd
 from gspn_framework_package.model.outcome import Outcome
-from gspn_framework_package.model.plan import FailureKind
 from gspn_framework_package.model.plan_timing import POLICY
 
 _T = TypeVar("_T")
@@ -476,19 +476,19 @@ class Turn:
         rule = self.plan.failure_rule(self._name(robot.place))
         robot.why = reason + (": " + detail if detail else "")
         what = "the action of %s failed (%s)" % (self._name(robot.place), robot.why)
-        if rule.kind is FailureKind.RETRY and robot.failures < rule.times:
+        if robot.failures < rule.times:
             robot.failures += 1
             robot.attempt += 1
             self._fault(robot, "%s; attempt %d follows" % (what, robot.attempt), reason)
-            self._start_action(robot, rule.delay)
+            self._start_action(robot, rule.delay(robot.failures))
             return
-        if rule.kind is FailureKind.FIRE:
+        if rule.end is FailureEnd.FIRE:
             t = self.net.transition_number(rule.transition)
             if t in self.net.consumers[robot.place]:
                 self._fault(robot, "%s; continues with %s" % (what, rule.transition), reason)
                 self._ask(robot, t)
                 return
-        if rule.kind is FailureKind.STOP:
+        if rule.end is FailureEnd.STOP:
             self._fault(robot, what, reason)
             self._end("%s: %s" % (robot.name, what), finished=False)
             return

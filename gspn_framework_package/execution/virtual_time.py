@@ -303,7 +303,7 @@ class VirtualRun:
                 self._draw_event(log_entries.Interrupt(robot.name, *visit, transition))
 
     def _draw_event(self, event: log_entries.Interrupt) -> None:
-        after = self.plan.events[event.transition].after
+        after = self.plan.events[event.transition].comes_after
         if after is not None:
             self._at(self.now + after, event._replace(cause={"after": after}))
             return
@@ -315,7 +315,7 @@ class VirtualRun:
     def _come_again(self, event: log_entries.Interrupt) -> None:
         """Draw the next event if the last one changed nothing."""
         same = self._visit(event.robot) == (event.incarnation, event.visit)
-        if same and self.plan.events[event.transition].after is None:
+        if same and self.plan.events[event.transition].comes_after is None:
             self._draw_event(event)
 
     # -- actions -----------------------------------------------------------------------------------

@@ -11,16 +11,20 @@ import jsonschema
 from gspn_framework_package.formats.json_file import JsonDocument
 from gspn_framework_package.formats.net_json import net_from_json, net_to_json
 from gspn_framework_package.formats.subnets import SubnetPart, with_parts
-from gspn_framework_package.model.action import action_from_json, action_to_json
+from gspn_framework_package.model.action import ACTION_KINDS, action_from_json, action_to_json
 from gspn_framework_package.model.condition import parse_condition
-from gspn_framework_package.model.duration import Duration, Evidence, duration_from_json
+from gspn_framework_package.model.duration import Duration, Evidence
 from gspn_framework_package.model.errors import ExpressionError, PlanError
-from gspn_framework_package.model.event import EventSource, Tasks
+from gspn_framework_package.model.event import SOURCE_KINDS, EventSource, Tasks
+from gspn_framework_package.model.failure import (
+    FAILURE_KINDS,
+    failure_rule_from_json,
+    failure_rule_to_json,
+)
+from gspn_framework_package.model.families import FAMILIES, duration_from_json
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import (
     MAX_ROBOTS,
-    FailureKind,
-    FailureRule,
     LostKind,
     LostRule,
     Plan,
@@ -38,9 +42,25 @@ SCHEMA_FILE = os.path.join(os.path.dirname(__file__), "plan.schema.json")
 
 
 def schema() -> Dict[str, Any]:
-    """Return the JSON Schema of plans (draft 7), which ships with the package."""
+    """Return the JSON Schema of plans (draft 7), which ships with the package, with the forms of
+    what other packages have added."""
     with open(SCHEMA_FILE, encoding="utf-8") as file:
         loaded: Dict[str, Any] = json.load(file)
+    rules = loaded["properties"]["on_failure"]["additionalProperties"]["oneOf"]
+    rules += [kind.form for kind in FAILURE_KINDS.values() if kind.form is not None]
+    duration = loaded["definitions"]["duration"]
+    for name, family in FAMILIES.items():
+        duration["properties"]["distribution"]["enum"].append(name)
+        duration["properties"].update(family.form)
+        duration["parameters"][name] = list(family.form)
+    event = loaded["properties"]["events"]["additionalProperties"]
+    for name, source in SOURCE_KINDS.items():
+        event["properties"][name] = source.form
+        event["allOf"] += [
+            {"not": {"required": [name, other]}} for other in ("topic", "function", "after")
+        ]
+    actions = loaded["definitions"]["action"]["oneOf"]
+    actions += [kind.FORM for kind in ACTION_KINDS.values() if hasattr(kind, "FORM")]
     return loaded
 
 
@@ -151,7 +171,7 @@ def plan_from_json(
         transport=Transport(data.get("transport", "ros")),
         seed=data.get("seed", 0),
         strict=data.get("strict", False),
-        on_failure={p: _failure_rule(r) for p, r in data.get("on_failure", {}).items()},
+        on_failure={p: failure_rule_from_json(r) for p, r in data.get("on_failure", {}).items()},
         timeouts={p: float(s) for p, s in data.get("timeout", {}).items()},
         routing=data.get("routing", {}),
         simulate_environment=data.get("environment", "operator") == "simulate",
@@ -250,15 +270,6 @@ def _robots(data: Any, file: Optional[str]) -> Any:
     )
 
 
-def _failure_rule(data: Any) -> FailureRule:
-    if isinstance(data, dict):
-        return FailureRule(FailureKind.RETRY, data["retry"], float(data.get("delay", 0.0)))
-    kind, _, rest = data.partition(" ")
-    if kind == "retry":
-        return FailureRule(FailureKind.RETRY, int(rest))
-    return FailureRule(FailureKind(kind), transition=rest)
-
-
 def _lost_rule(text: str) -> LostRule:
     kind, _, transition = text.partition(" ")
     return LostRule(LostKind(kind), transition)
@@ -288,7 +299,7 @@ def plan_to_json(plan: Plan) -> Dict[str, Any]:
         "spawn": list(plan.spawn),
         "seed": plan.seed,
         "strict": plan.strict,
-        "on_failure": {p: _failure_to_json(r) for p, r in plan.on_failure.items()},
+        "on_failure": {p: failure_rule_to_json(r) for p, r in plan.on_failure.items()},
         "timeout": dict(plan.timeouts),
         "routing": {t: dict(r) for t, r in plan.routing.items()},
         "environment": "simulate" if plan.simulate_environment else "operator",
@@ -365,9 +376,3 @@ def plan_to_short_json(plan: Plan) -> Dict[str, Any]:
     if plan.robots and not any(robot.actions for robot in plan.robots):
         short["robots"] = {robot.name: robot.place for robot in plan.robots}
     return short
-
-
-def _failure_to_json(rule: FailureRule) -> Any:
-    if rule.kind is FailureKind.RETRY:
-        return {"retry": rule.times, "delay": rule.delay}
-    return " ".join(filter(None, (rule.kind.value, rule.transition)))

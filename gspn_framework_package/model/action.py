@@ -208,7 +208,8 @@ ACTION_KINDS: Dict[str, Any] = {
     "wait_for": WaitAction,
     "command": CommandAction,
 }
-"""The key in a plan file that only this kind has -> the kind."""
+"""The key in a plan file that only this kind has -> the kind. One that another package has added
+has its JSON Schema as ``FORM``."""
 
 
 def server_name(place: str) -> str:

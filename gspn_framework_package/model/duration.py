@@ -13,7 +13,7 @@ from __future__ import annotations
 import enum
 import math
 from dataclasses import dataclass
-from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
 
 from gspn_framework_package.model.errors import PlanError
 
@@ -46,6 +46,38 @@ class ErlangBranch(NamedTuple):
     rate: float
 
 
+class DurationPart(NamedTuple):
+    """A part of a distribution: with ``probability``, the time is ``shift`` (s, >= 0) and then
+    ``duration``, which has no parts itself."""
+
+    probability: float
+    shift: float
+    duration: Duration
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """A family of distributions that are made of others: a part is drawn, and a time of it. What
+    the package needs to know of a time follows from the parts.
+
+    :ivar value: its name in a plan file.
+    :ivar form: its parameters in a plan file: name -> JSON Schema of the number, with its
+        ``default`` on the page. Each is in seconds or has no unit.
+    :ivar times: those in seconds.
+    :ivar parts: makes the parts from the parameters, by name. It may raise a :class:`PlanError`.
+        A function of a module, so that other processes can be given it.
+    :ivar estimate: for ``gspn fit``, makes the parameters from a
+        :class:`~gspn_framework_package.analysis.fitting.sample.Sample` with two or more observed
+        times.
+    """
+
+    value: str
+    form: Mapping[str, Mapping[str, Any]]
+    times: Tuple[str, ...]
+    parts: Callable[..., Sequence[DurationPart]]
+    estimate: Optional[Callable[[Any], Mapping[str, float]]] = None
+
+
 class Evidence(NamedTuple):
     """The origin of a learned value of a plan: the number of ``observations``, the names of the
     ``logs``, and the 95 % confidence ``interval`` of the value (for a duration: of its mean, in
@@ -69,7 +101,7 @@ class Duration:
         in turn.
     """
 
-    kind: Kind
+    kind: Union[Kind, Family]
     mean: float
     parameters: Tuple[float, ...] = ()
 
@@ -199,6 +231,21 @@ class Duration:
             return tuple(ErlangBranch(p, int(k), k / m) for p, k, m in self._mixture())
         return None
 
+    @property
+    def parts(self) -> Tuple[DurationPart, ...]:
+        """The parts that it is drawn from; itself, if it is not made of others."""
+        if self.kind is Kind.HYPER_ERLANG:
+            return tuple(
+                DurationPart(p, 0.0, Duration.erlang(int(k), m)) for p, k, m in self._mixture()
+            )
+        return (DurationPart(1.0, 0.0, self),)
+
+    @property
+    def _corners(self) -> Tuple[float, ...]:
+        """Where the survival is not smooth (s)."""
+        rough = self.kind in (Kind.EMPIRICAL, Kind.UNIFORM, Kind.DETERMINISTIC)
+        return (*self.parameters, self.mean) if rough else ()
+
     def _mixture(self) -> List[Tuple[float, float, float]]:
         p = self.parameters
         return [(p[i], p[i + 1], p[i + 2]) for i in range(0, len(p), 3)]
@@ -210,9 +257,7 @@ class Duration:
 
         # E min(T, l)^n is the integral of n x^(n-1) S(x) from 0 to l
         ends = np.linspace(0.0, limit, 65)
-        if self.kind in (Kind.EMPIRICAL, Kind.UNIFORM, Kind.DETERMINISTIC):
-            steps = (*self.parameters, self.mean)  # where the survival is not smooth
-            ends = np.union1d(ends, [x for x in steps if 0 < x < limit])
+        ends = np.union1d(ends, [x for x in self._corners if 0 < x < limit])
         nodes, weights = np.polynomial.legendre.leggauss(16)  # type: ignore[no-untyped-call]
         half = np.diff(ends)[:, None] / 2
         x = ends[:-1, None] + half * (nodes + 1)
@@ -396,14 +441,14 @@ class Duration:
             steps = len(self.parameters) - 1
             return np.interp(p * steps, np.arange(steps + 1), np.array(self.parameters))
         if self.kind is Kind.HYPER_ERLANG:
-            return self._quantile_by_bisection(p)
+            return self._quantile_by_bisection(p, max(m for _, _, m in self._mixture()))
         return np.full_like(p, self.mean)
 
-    def _quantile_by_bisection(self, p: Any) -> Any:
+    def _quantile_by_bisection(self, p: Any, start: float) -> Any:
         import numpy as np
 
         low = np.zeros_like(p)
-        high = np.full_like(p, max(m for _, _, m in self._mixture()))
+        high = np.full_like(p, start)
         while (self._cdf(high) < np.minimum(p, 1 - 1e-15)).any():
             high = np.where(self._cdf(high) < p, high * 2, high)
         for _ in range(60):
@@ -443,12 +488,12 @@ class Duration:
         elif self.kind is Kind.EMPIRICAL:
             data["quantiles"] = list(self.parameters)
         else:
-            for key, value in zip(_KEYS[self.kind], self.parameters):
+            for key, value in zip(KEYS[self.kind], self.parameters):
                 data[key] = int(value) if key == "phases" else value
         return data
 
 
-_KEYS: Mapping[Kind, Tuple[str, ...]] = {
+KEYS: Mapping[Any, Tuple[str, ...]] = {
     Kind.EXPONENTIAL: (),
     Kind.ERLANG: ("phases",),
     Kind.GAMMA: ("shape",),
@@ -459,41 +504,6 @@ _KEYS: Mapping[Kind, Tuple[str, ...]] = {
     Kind.HYPER_ERLANG: ("branches",),
 }
 """The parameters of each family in a plan file other than the mean."""
-
-_FOLLOWS = (Kind.UNIFORM, Kind.EMPIRICAL, Kind.HYPER_ERLANG)
-"""Families whose mean follows from the other parameters, so that a plan file may omit it."""
-
-
-def duration_from_json(data: Mapping[str, Any]) -> Duration:
-    """The distribution in an object of a plan file that fits the schema.
-
-    :raises PlanError: a parameter is missing, does not belong to the family, or is out of range;
-        the mean contradicts the other parameters.
-    """
-    kind = Kind(data.get("distribution", Kind.EXPONENTIAL.value))
-    keys = _KEYS[kind] + (() if kind in _FOLLOWS else ("mean",))
-    missing = [key for key in keys if key not in data]
-    known = {"mean", "distribution", "of", *keys}
-    foreign = sorted(set(data) - known)
-    if missing or foreign:
-        raise PlanError(
-            "'%s' is missing" % missing[0]
-            if missing
-            else "'%s' does not belong to this distribution" % foreign[0],
-            hint="%s takes: %s" % (kind.value, ", ".join(sorted(set(keys) | {"mean"}))),
-        )
-    if kind is Kind.HYPER_ERLANG:
-        branches = [(b["probability"], b["phases"], b["mean"]) for b in data["branches"]]
-        found = Duration.hyper_erlang(branches)
-    else:  # the other constructors take the keys in this order
-        found = getattr(Duration, kind.value)(*(data[key] for key in keys))
-    mean = data.get("mean", found.mean)
-    if abs(mean - found.mean) > 0.01 * found.mean:
-        raise PlanError(
-            "the mean is given as %g s, but the parameters imply %g s" % (mean, found.mean),
-            hint="leave the mean out",
-        )
-    return found
 
 
 def _log_gamma_survival(shape: float, x: Any) -> Any:

@@ -8,10 +8,33 @@ the environment: each message is a *task*, which fires it once.
 
 from __future__ import annotations
 
-from typing import Any, Dict, Mapping, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, Mapping, NamedTuple, Optional, Tuple
 
 POLL_EVERY = 0.2
 """Seconds between two calls of an event's function."""
+
+
+class SourceKind(NamedTuple):
+    """A kind of source that another package adds to those of :class:`EventSource`. A plan file
+    gives, under the kind's name, an object with its settings.
+
+    :ivar name: its name.
+    :ivar form: the JSON Schema of the object.
+    :ivar function: the event function that watches it, on ROS and without (see
+        :mod:`gspn_framework_package.execution.event_functions`); it takes the settings.
+    :ivar after: makes, from the settings, the seconds in the place after which the event comes in
+        the analysis and the simulation. None: it comes at the rate of its transition. A function
+        of a module, as is ``function``, so that other processes can be given it.
+    """
+
+    name: str
+    form: Mapping[str, Any]
+    function: Callable[..., Any]
+    after: Optional[Callable[..., float]] = None
+
+
+SOURCE_KINDS: Dict[str, SourceKind] = {}
+"""The kinds of sources that other packages have added, by name."""
 
 
 class EventSource(NamedTuple):
@@ -19,7 +42,8 @@ class EventSource(NamedTuple):
 
     Sources: a ROS ``topic`` with messages of ``type`` (relative to the robot's namespace), a Python
     ``function`` of the plan's folder (with ``settings``, called every ``every`` seconds unless it
-    emits its events itself), or time: ``after`` seconds in the place. With both a topic and a
+    emits its events itself), time: ``after`` seconds in the place, or what another package has
+    added (``kind``, with ``settings``). With both a topic and a
     function, the topic is used on ROS and the function without it. A transition of the environment
     needs no source of its own: ``gspn submit`` fires it in any case.
 
@@ -49,10 +73,13 @@ class EventSource(NamedTuple):
     resume: bool = False
     id: str = ""
     json: str = ""
+    kind: Optional[SourceKind] = None
 
     @property
     def label(self) -> str:
         """The source of the event for people."""
+        if self.kind is not None:
+            return self.kind.name
         if self.after is not None:
             return "after %g s" % self.after
         if self.topic:
@@ -64,18 +91,37 @@ class EventSource(NamedTuple):
 
         :param topics: whether topics can be subscribed to.
         """
-        return bool(self.function) and not (topics and self.topic)
+        return self.kind is not None or bool(self.function) and not (topics and self.topic)
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether anything watches for the event, other than the time in the place."""
+        return bool(self.topic or self.function or self.kind)
+
+    @property
+    def comes_after(self) -> Optional[float]:
+        """The seconds in the place after which the event comes, in the analysis and the
+        simulation; None: it comes at the rate of its transition."""
+        if self.kind is None or self.kind.after is None:
+            return self.after
+        return self.kind.after(**self.settings)
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> EventSource:
         """The source in a JSON object that fits the schema."""
-        return cls(**data)
+        kind = next((SOURCE_KINDS[key] for key in data if key in SOURCE_KINDS), None)
+        if kind is None:
+            return cls(**data)
+        own = {key: value for key, value in data.items() if key != kind.name}
+        return cls(**own, settings=data[kind.name], kind=kind)
 
     def to_json(self) -> Dict[str, Any]:
         """The source as a JSON object, without default values."""
         default = EventSource()
         given = self._asdict()
-        return {k: v for k, v in given.items() if v != getattr(default, k)}
+        if self.kind is not None:
+            given.update({self.kind.name: given.pop("settings"), "kind": None})
+        return {k: v for k, v in given.items() if v != getattr(default, k, None)}
 
 
 class Tasks(NamedTuple):

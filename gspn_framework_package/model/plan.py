@@ -32,6 +32,7 @@ from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.duration import Duration, Evidence
 from gspn_framework_package.model.errors import PlanError
 from gspn_framework_package.model.event import EventSource, Tasks
+from gspn_framework_package.model.failure import FailureEnd, FailureRule
 from gspn_framework_package.model.marking_function import Value, written
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.policy import SUM_TOLERANCE, Policy
@@ -67,29 +68,6 @@ class Transport(enum.Enum):
     """Topics and services of one ROS master."""
     ZENOH = "zenoh"
     """Zenoh: robots need neither a common master nor ROS."""
-
-
-class FailureKind(enum.Enum):
-    """What to do when an action does not succeed."""
-
-    RETRY = "retry"
-    """Retry within the same visit; when the attempts are used up, wait."""
-    FIRE = "fire"
-    """Continue as if the action had requested that transition."""
-    WAIT = "wait"
-    """Wait for the operator, and report that prominently."""
-    STOP = "stop"
-    """Stop the whole team."""
-
-
-class FailureRule(NamedTuple):
-    """The failure rule of a place: ``times`` and ``delay`` (seconds) apply to RETRY,
-    ``transition`` to FIRE."""
-
-    kind: FailureKind = FailureKind.WAIT
-    times: int = 0
-    delay: float = 0.0
-    transition: str = ""
 
 
 class LostKind(enum.Enum):
@@ -378,10 +356,7 @@ class Plan:
             "synchronisation": self.synchronisation.value,
             "seed": self.seed,
             "strict": self.strict,
-            "on_failure": {
-                p: [r.kind.value, r.times, r.delay, r.transition]
-                for p, r in self.on_failure.items()
-            },
+            "on_failure": {p: rule.essence() for p, rule in self.on_failure.items()},
             "routing": {t: dict(r) for t, r in self.routing.items()},
             "on_lost": [self.on_lost.kind.value, self.on_lost.transition],
             "on_evict": {p: dict(r) for p, r in self.on_evict.items()},
@@ -508,7 +483,7 @@ class Plan:
                 if place != "*" or what not in ("on_failure", "timeout"):
                     self._known_place(place, what)
         for place, rule in self.on_failure.items():
-            if rule.kind is FailureKind.FIRE:
+            if rule.end is FailureEnd.FIRE:
                 self._known_transition(rule.transition, "on_failure of '%s'" % place)
                 if place != "*" and rule.transition not in self._leaving(place):
                     raise self._error(
@@ -576,7 +551,7 @@ class Plan:
                 )
             source, outside = self.events[name], not self.moves_robots(t)
             if outside and (
-                source.when or source.edge or source.resume or source.after is not None
+                source.when or source.edge or source.resume or source.comes_after is not None
             ):
                 raise self._error(
                     "events.%s" % name,

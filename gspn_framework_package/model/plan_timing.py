@@ -238,7 +238,7 @@ class PlanTiming:
             net.transitions[t].name
             for events in self.events.values()
             for t in events
-            if plan.events[net.transitions[t].name].after is None
+            if plan.events[net.transitions[t].name].comes_after is None
         ]
         if by_rate:
             self.assumptions.append(

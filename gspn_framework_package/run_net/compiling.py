@@ -31,8 +31,9 @@ from typing import Dict, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.duration import Duration
+from gspn_framework_package.model.failure import FailureEnd, FailureRule
 from gspn_framework_package.model.net import Net
-from gspn_framework_package.model.plan import FailureKind, FailureRule, Plan
+from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import POLICY, PlaceTiming, PlanTiming
 from gspn_framework_package.run_net.columns import (
     End,
@@ -220,13 +221,13 @@ class _Compiler:
 
     def _stops(self, p: int) -> bool:
         """Whether a failure in place ``p`` stops the team."""
-        return self._failures[p] > 0 and self._rule(p).kind is FailureKind.STOP
+        return self._failures[p] > 0 and self._rule(p).end is FailureEnd.STOP
 
     def _fallback(self, p: int) -> int:
         """The transition that a robot in place ``p`` asks for when its action has failed; -1: it
         asks for none."""
         rule = self._rule(p)
-        if rule.kind is not FailureKind.FIRE:
+        if rule.end is not FailureEnd.FIRE:
             return -1
         t = self._net.transition_number(rule.transition)
         return t if t in self._net.consumers[p] else -1
@@ -393,22 +394,29 @@ class _Compiler:
                 % self._net.places[p].name
             )
         failure = self._failures[p]
-        if rule.kind is not FailureKind.RETRY or not failure:
+        if not rule.times or not failure:
             return [(first, what)], False
-        again, words = first, what
-        if rule.delay > 0:
-            words = "%s, after %g s" % (what, rule.delay)
-            again = self._few_phases(p, first.delayed(rule.delay), plain, words)
         count = rule.times
         endless = failure**count <= _NEVER or count > MOST_RETRIES
         if endless:
-            count = 1 if rule.delay > 0 else 0
+            count = min(len(rule.delays), MOST_RETRIES, count)
             if failure**rule.times > _NEVER:
                 self._assumptions.append(
                     "robots in %s try again without end (in a run %d times)"
                     % (self._net.places[p].name, rule.times)
                 )
-        return [(first, what)] + [(again, words)] * count, endless
+            if count < len(rule.delays):
+                self._assumptions.append(
+                    "robots in %s try again after %g s from failure %d on"
+                    % (self._net.places[p].name, rule.delay(count), count)
+                )
+        again = {0.0: (first, what)}
+        delays = [rule.delay(failures) for failures in range(1, count + 1)]
+        for delay in delays:
+            if delay not in again:
+                words = "%s, after %g s" % (what, delay)
+                again[delay] = self._few_phases(p, first.delayed(delay), plain, words), words
+        return [(first, what), *(again[delay] for delay in delays)], endless
 
     def _few_phases(self, p: int, duration: Duration, plain: float, what: str) -> Duration:
         """The duration of an attempt in place ``p``, or one of its mean if it needs many more

@@ -19,7 +19,7 @@ from flask import Response, request
 from werkzeug.exceptions import HTTPException
 
 from gspn_framework_package import __version__
-from gspn_framework_package.formats.plan_json import SCHEMA_FILE
+from gspn_framework_package.formats.plan_json import schema
 from gspn_framework_package.model.errors import GspnError, InputError, UsageError
 from gspn_framework_package.visualizer import deploying
 from gspn_framework_package.visualizer.activity import whole_field
@@ -154,7 +154,7 @@ def _add_page(app: flask.Flask, project: Project, guard: Guard) -> None:
 
     @app.route("/plan.schema.json")
     def plan_schema() -> Response:
-        return flask.send_file(SCHEMA_FILE, mimetype="application/json")
+        return Response(json.dumps(schema()), mimetype="application/json")
 
     @app.route("/api/openapi.json")
     def describe_interface() -> Dict[str, Any]:

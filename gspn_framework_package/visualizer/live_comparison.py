@@ -36,7 +36,7 @@ from gspn_framework_package.analysis.monitoring.monitor import ALARM_EVERY, Moni
 from gspn_framework_package.analysis.monitoring.streams import PACES, Alarm, Stream
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.outcome import Outcome
-from gspn_framework_package.model.plan import FailureKind, Plan, RobotSpec
+from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.model.plan_timing import POLICY, PlanTiming
 from gspn_framework_package.visualizer.analysis_jobs import ALL_TRANSITIONS, AnalysisJobs
 from gspn_framework_package.visualizer.board import Board, Event, note_event
@@ -173,7 +173,7 @@ class RunFollower:
         if going is not None and attempt is not None:
             if attempt > going.attempt:
                 self._fail(name, told, now)
-                self._begin(name, place, attempt, now + self._delay(place))
+                self._begin(name, place, attempt, now + self._delay(place, attempt - 1))
                 going = self._going[name]
             else:
                 self._going[name] = going = going._replace(attempt=attempt)
@@ -209,9 +209,8 @@ class RunFollower:
             self._monitor.end(name, now, completed=False)
         self._ended_in.pop(name, None)
 
-    def _delay(self, place: int) -> float:
-        rule = self._plan.failure_rule(self._net.places[place].name)
-        return rule.delay if rule.kind is FailureKind.RETRY else 0.0
+    def _delay(self, place: int, failures: int) -> float:
+        return self._plan.failure_rule(self._net.places[place].name).delay(failures)
 
 
 class LiveComparison:

@@ -12,9 +12,8 @@ from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.event import EventSource, Tasks
+from gspn_framework_package.model.failure import FailureRule
 from gspn_framework_package.model.plan import (
-    FailureKind,
-    FailureRule,
     LostKind,
     LostRule,
     Plan,
@@ -88,7 +87,7 @@ def _meet() -> Tuple[Plan, Sequence[str]]:
         ["tool", "count"],
         on_evict={"P4": {"tool": 1}},
         on_lost=LostRule(LostKind.FIRE, "alone"),
-        on_failure={"P1": FailureRule(FailureKind.RETRY, 1, 0.01)},
+        on_failure={"P1": FailureRule.retry(1, 0.01)},
     )
 
 

@@ -15,6 +15,9 @@ from gspn_framework_package.formats.plan_json import (
     schema,
 )
 from gspn_framework_package.model.errors import GspnError
+from gspn_framework_package.model.event import SOURCE_KINDS
+from gspn_framework_package.model.failure import FAILURE_KINDS
+from gspn_framework_package.model.families import FAMILIES
 from gspn_framework_package.visualizer.documents import Folder
 from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.standalone_run import StandaloneRun
@@ -757,3 +760,40 @@ def test_rows_that_the_optimiser_proposes_are_taken_over(open_editor, tmp_path):
     page.wait_for_function("() => gspn.edit.document.dirty")
     assert state(page)["policy"]["rows"] != before["policy"]["rows"]
     plan_of(state(page))
+
+
+def test_what_other_packages_add_has_a_form(open_editor, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "test" / "unit" / "seams"))
+    from toys import toy_family, toy_rule, toy_source
+
+    monkeypatch.setitem(FAILURE_KINDS, "patience", toy_rule.PATIENCE)
+    monkeypatch.setitem(FAMILIES, "at-least", toy_family.AT_LEAST)
+    monkeypatch.setitem(SOURCE_KINDS, "timer", toy_source.TIMER)
+    rule = {"patience": 2, "delay": 1, "then": "fire plug_in"}
+    timer = {"unplug": {"timer": {"minutes": 2}}}
+    (tmp_path / "plan").mkdir()
+    (tmp_path / "plan" / "plan.json").write_text(
+        json.dumps({**PLAN, "on_failure": {"Sort": rule}, "events": timer})
+    )
+    page = open_editor(tmp_path / "plan")
+    unfold(page, "plan")
+    enter(page, "plan.on_failure.Sort.delay", "0.5")
+    enter(page, "plan.events.unplug.timer.minutes", "3")
+    control(page, "plan.durations.Fetch.distribution").select_option(label="at-least")
+    settle(page)
+    enter(page, "plan.durations.Fetch.least", "4")
+    plan = state(page)["plan"]
+    assert plan["on_failure"]["Sort"] == {**rule, "delay": 0.5}
+    assert plan["events"] == {"unplug": {"timer": {"minutes": 3}}}
+    assert plan["durations"]["Fetch"] == {"distribution": "at-least", "least": 4, "rest": 1}
+    # it can be chosen for a place, and follows the names
+    control(page, "plan.on_failure.Sort").select_option(label="stop the team")
+    assert state(page)["plan"]["on_failure"]["Sort"] == "stop"
+    control(page, "plan.on_failure.Sort").select_option(label="be patient, then fire")
+    settle(page)
+    assert state(page)["plan"]["on_failure"]["Sort"]["patience"] == 3
+    page.click("#ed-undo")
+    page.click("#ed-undo")
+    found = page.evaluate(EVERYWHERE, [state(page)])
+    there = next(case["there"] for case in found if case["name"] == "plug_in")
+    assert there["plan"]["on_failure"]["Sort"]["then"] == "fire it's new"

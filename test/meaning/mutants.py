@@ -924,7 +924,7 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "the first branch of a mixture",
         ["phased"],
-        (K.draw_duration, "left >= table[k]", "left >= 2.0"),
+        (K.draw_length, "left >= chance[i]", "left >= 2.0"),
     ),
     (
         "actions without time",
@@ -1158,6 +1158,17 @@ _TABLE: Sequence[Any] = (
     (
         "failures",
         "chain",
+        "who fires afterwards does not try again",
+        ["failures"],
+        (
+            C._tries,
+            "if not rule.times or not failure:",
+            "if self._fallback(p) >= 0 or not failure:",
+        ),
+    ),
+    (
+        "failures",
+        "chain",
         "the rule fires nothing",
         ["failures"],
         (C._fallback, "return t if t in self._net.consumers[p] else -1", "return -1"),
@@ -1172,9 +1183,20 @@ _TABLE: Sequence[Any] = (
     (
         "failures",
         "run",
+        "who fires afterwards does not try again",
+        ["failures"],
+        (
+            T._failed,
+            "if robot.failures < rule.times:",
+            "if not rule.transition and robot.failures < rule.times:",
+        ),
+    ),
+    (
+        "failures",
+        "run",
         "no one stops the team",
         ["failures"],
-        (T._failed, "if rule.kind is FailureKind.STOP:", "if False:"),
+        (T._failed, "if rule.end is FailureEnd.STOP:", "if False:"),
     ),
     (
         "failures",
@@ -1205,9 +1227,20 @@ _TABLE: Sequence[Any] = (
     (
         "failures",
         "simulation",
+        "who fires afterwards does not try again",
+        ["failures"],
+        (
+            K.after_failure,
+            "if tried < rule_times[timing]:",
+            "if rule_end[timing] != FAILURE_FIRES and tried < rule_times[timing]:",
+        ),
+    ),
+    (
+        "failures",
+        "simulation",
         "no one stops the team",
         ["failures"],
-        (K.after_failure, "if rule[timing] == ON_FAILURE_STOP:", "if rule[timing] == 77:"),
+        (K.after_failure, "if rule_end[timing] == FAILURE_STOPS:", "if rule_end[timing] == 77:"),
     ),
     (
         "failures",
@@ -1216,8 +1249,8 @@ _TABLE: Sequence[Any] = (
         ["failures"],
         (
             K.after_failure,
-            "if rule[timing] == ON_FAILURE_FIRE and rule_list[timing] >= 0:",
-            "if rule[timing] == 77:",
+            "if rule_end[timing] == FAILURE_FIRES and rule_list[timing] >= 0:",
+            "if rule_end[timing] == 77:",
         ),
     ),
     (
@@ -1239,7 +1272,7 @@ _TABLE: Sequence[Any] = (
         "check",
         "no one goes another way",
         ["failures"],
-        (structure.may_be_named, "rule.kind is FailureKind.FIRE and", "False and"),
+        (structure.may_be_named, "rule.end is FailureEnd.FIRE and", "False and"),
     ),
     # -- losses
     (

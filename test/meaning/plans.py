@@ -15,15 +15,9 @@ from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.event import EventSource
+from gspn_framework_package.model.failure import FailureEnd, FailureRule
 from gspn_framework_package.model.net import Net
-from gspn_framework_package.model.plan import (
-    FailureKind,
-    FailureRule,
-    LostKind,
-    LostRule,
-    Plan,
-    RobotSpec,
-)
+from gspn_framework_package.model.plan import LostKind, LostRule, Plan, RobotSpec
 from gspn_framework_package.model.policy import Policy, PolicyRow
 
 WORK = FunctionAction("actions.work", "work")
@@ -654,15 +648,16 @@ def failures(source: random.Random) -> Plan:
     rules = {
         "a": source.choice(
             [
-                FailureRule(FailureKind.RETRY, source.choice([1, 2]), 0.0),
-                FailureRule(FailureKind.FIRE, transition="slip"),
+                FailureRule.retry(source.choice([1, 2]), 0.0),
+                FailureRule.fire("slip"),
+                FailureRule("again", 1, end=FailureEnd.FIRE, transition="slip"),
             ]
         ),
         "b": source.choice(
             [
-                FailureRule(FailureKind.RETRY, 1, 0.0),
-                FailureRule(FailureKind.FIRE, transition="on"),
-                FailureRule(FailureKind.STOP),
+                FailureRule.retry(1, 0.0),
+                FailureRule.fire("on"),
+                FailureRule.stop(),
                 FailureRule(),
             ]
         ),

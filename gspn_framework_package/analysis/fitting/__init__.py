@@ -3,10 +3,13 @@
 Modules: ``durations``, ``learning``, ``sample``, ``testing``.
 """
 
-from gspn_framework_package.analysis.fitting.durations import DurationFit, fit_duration
+from gspn_framework_package.analysis.fitting.durations import (
+    DurationFit,
+    family_choices,
+    fit_duration,
+)
 from gspn_framework_package.analysis.fitting.learning import (
     EventFit,
-    FamilyChoice,
     FitReport,
     OutcomeFit,
     PlaceFit,
@@ -15,13 +18,13 @@ from gspn_framework_package.analysis.fitting.learning import (
 from gspn_framework_package.analysis.fitting.sample import Sample
 
 __all__ = [
-    "FamilyChoice",
     "DurationFit",
     "EventFit",
     "FitReport",
     "OutcomeFit",
     "PlaceFit",
     "Sample",
+    "family_choices",
     "fit_duration",
     "fit_plan",
 ]

@@ -17,15 +17,16 @@ too short, because long times are cut off more often than short ones.
 from __future__ import annotations
 
 import math
-from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 from scipy import optimize, special
 
 from gspn_framework_package.analysis import quantiles
 from gspn_framework_package.analysis.fitting.sample import SHORTEST_FITTED, Sample
-from gspn_framework_package.model.duration import Duration, Kind
+from gspn_framework_package.model.duration import Duration, Family, Kind
 from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.families import FAMILIES, compose
 
 CONFIDENCE = 0.95
 
@@ -44,7 +45,6 @@ _QUANTILES = 101
 
 _STEPS = 300
 """Largest number of steps of the expectation maximisation."""
-
 
 _WIDEST = 20.0
 """Approximate logarithm of the largest factor from a mean to the end of its interval."""
@@ -177,12 +177,19 @@ def criterion(fit: DurationFit, size: int) -> float:
     return fit.parameters * math.log(size) - 2 * fit.likelihood
 
 
-def fit_duration(sample: Sample, family: str = "auto", *, fits: bool = True) -> DurationFit:
+def family_choices() -> List[str]:
+    """The families that :func:`fit_duration` can be asked for."""
+    return ["auto", "exponential", "gamma", *(f.value for f in FAMILIES.values() if f.estimate)]
+
+
+def fit_duration(
+    sample: Sample, family: Union[str, Family] = "auto", *, fits: bool = True
+) -> DurationFit:
     """Fit a distribution.
 
     :param sample: at least two observed times; for the exponential family, one.
-    :param family: ``exponential``, ``gamma``, or ``auto``: whichever family explains the data best,
-        by Schwarz's criterion.
+    :param family: ``exponential``, ``gamma``, one that another package has added and that has an
+        estimator, or ``auto``: whichever family explains the data best, by Schwarz's criterion.
     :param fits: tests whether the data do not contradict a fit; if they contradict all families,
         quantiles are used.
     :raises UsageError: there are too few observations, or no such family.
@@ -193,10 +200,11 @@ def fit_duration(sample: Sample, family: str = "auto", *, fits: bool = True) -> 
         return fit_exponential(sample)
     if family == "gamma":
         return fit_gamma(sample)
+    if isinstance(family, Family) and family.estimate is not None:
+        return _fit_of(compose(family, family.estimate(sample)), sample, len(family.form))
     if family != "auto":
-        raise UsageError(
-            "there is no family '%s'" % family, hint="choose auto, exponential or gamma"
-        )
+        known = ", ".join(family_choices())
+        raise UsageError("there is no family '%s' to fit" % family, hint="choose from: " + known)
     fixed = fit_deterministic(sample)
     if fixed is not None:
         return fixed
@@ -211,10 +219,9 @@ def fit_duration(sample: Sample, family: str = "auto", *, fits: bool = True) -> 
     if gamma.duration.variation > 1 and clearly:
         mixed = fit_hyper_erlang(sample)
         found += [mixed] if mixed is not None else []
-    handicap = {Kind.LOGNORMAL: _PREFERENCE}
     best = min(
         found,
-        key=lambda fit: criterion(fit, sample.size) + handicap.get(fit.duration.kind, 0.0),
+        key=lambda fit: criterion(fit, sample.size) + _PREFERENCE * (fit is lognormal),
     )
     if best is gamma or best is lognormal:
         # the family is uncertain too, so the other one widens the interval as far as it is as
@@ -234,8 +241,10 @@ def most_likely(sample: Sample, like: Duration) -> Duration:
     """The most likely distribution of the same family as ``like``; for Erlang the phases, for
     hyper-Erlang the branches are fitted again, but not their numbers of phases.
 
-    :raises UsageError: the family has no parameters to fit (empirical).
+    :raises UsageError: the family has no parameters to fit (empirical), or no estimator.
     """
+    if isinstance(like.kind, Family) and like.kind.estimate is not None:
+        return compose(like.kind, like.kind.estimate(sample))
     if like.kind is Kind.EXPONENTIAL:
         return Duration.exponential(sample.total / sample.size)
     if like.kind is Kind.GAMMA:
@@ -555,16 +564,16 @@ def _expectation_maximisation(
         if log_likelihood - before < 1e-7 * sample.size:
             break
         before = log_likelihood
-    duration = Duration.hyper_erlang(
-        [(float(p), int(shape), float(m)) for p, shape, m in zip(chances / chances.sum(), k, means)]
-    )
-    half = (
-        quantiles.normal_quantile((1 + CONFIDENCE) / 2)
-        * duration.variation
-        / math.sqrt(sample.size)
-    )
+    branches = zip((chances / chances.sum()).tolist(), phases, means.tolist())
+    return _fit_of(Duration.hyper_erlang(list(branches)), sample, 2 * len(k) - 1)
+
+
+def _fit_of(duration: Duration, sample: Sample, parameters: int) -> DurationFit:
+    """A fit, with an interval from the normal distribution of the logarithm of the mean."""
+    level = quantiles.normal_quantile((1 + CONFIDENCE) / 2)
+    half = level * duration.variation / math.sqrt(sample.size)
     interval = duration.mean * math.exp(-half), duration.mean * math.exp(half)
-    return DurationFit(duration, interval, likelihood(duration, sample), 2 * len(k) - 1)
+    return DurationFit(duration, interval, likelihood(duration, sample), parameters)
 
 
 # -- without a family ------------------------------------------------------------------------------

@@ -3,7 +3,6 @@ rates."""
 
 from __future__ import annotations
 
-import enum
 import math
 from dataclasses import replace
 from typing import (
@@ -16,6 +15,7 @@ from typing import (
     Optional,
     Sequence,
     Tuple,
+    Union,
 )
 
 import numpy as np
@@ -34,7 +34,8 @@ from gspn_framework_package.analysis.fitting.testing import (
 )
 from gspn_framework_package.analysis.watch import Progress, Watch
 from gspn_framework_package.model.attempt import Attempt, EventCount
-from gspn_framework_package.model.duration import Duration, Evidence, Kind
+from gspn_framework_package.model.duration import Duration, Evidence, Family, Kind
+from gspn_framework_package.model.families import FAMILIES
 from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
 
@@ -57,14 +58,6 @@ _REFUTED = 0.01
 
 _SIGNIFICANT = 0.05
 """The joint level of all tests of one kind whose results become notes."""
-
-
-class FamilyChoice(enum.Enum):
-    """Which families of distributions are considered."""
-
-    AUTO = "auto"
-    EXPONENTIAL = "exponential"
-    GAMMA = "gamma"
 
 
 class OutcomeFit(NamedTuple):
@@ -191,7 +184,7 @@ def fit_plan(
     plan: Plan,
     attempts: Iterable[Attempt],
     events: Optional[Mapping[str, EventCount]] = None,
-    choice: FamilyChoice = FamilyChoice.AUTO,
+    choice: str = "auto",
     *,
     seed: int = 0,
     samples: int = SAMPLES,
@@ -204,14 +197,15 @@ def fit_plan(
     :param attempts: the attempts of all runs, each once.
     :param events: transition of the environment or of an event -> how often it fired, and for how
         long it could have.
-    :param choice: the families to consider for durations.
+    :param choice: the family of durations, one of :func:`.durations.family_choices`.
     :param seed: of the simulated tests; the same data and seed give the same report.
     :param samples: simulated samples of each test of fit; 0: no such tests.
     :param progress: called at intervals with what is counted, the count, and the seconds.
     :param on: where to fit and test the places: by default in this process. The result is the same.
     """
     executor = on or LocalExecutor()
-    learning = _Learning(plan, choice, seed, samples)
+    # another process does not know what was added here
+    learning = _Learning(plan, FAMILIES.get(choice, choice), seed, samples)
     return learning.learn(attempts, events or {}, executor, Watch(progress, interval=0.0))
 
 
@@ -225,7 +219,7 @@ def _learn_place(shared: Any, piece: Any, _: Watch) -> _OfPlace:
 class _Learning:
     """The work of :func:`fit_plan`."""
 
-    def __init__(self, plan: Plan, choice: FamilyChoice, seed: int, samples: int) -> None:
+    def __init__(self, plan: Plan, choice: Union[str, Family], seed: int, samples: int) -> None:
         self.plan = plan
         self.choice = choice
         self.seed = seed
@@ -307,7 +301,7 @@ class _Learning:
                 )
             )
             return None, None
-        fit = fit_duration(sample, self.choice.value)
+        fit = fit_duration(sample, self.choice)
         test = test_of_fit(fit, sample, generator, self.samples) if self.samples else None
         if test is None or test.p >= _REFUTED:
             return fit, test
@@ -318,7 +312,7 @@ class _Learning:
             test.p,
         )
         far = test.statistic >= MATERIAL and fit.duration.variation >= NARROW
-        quantiles = self.choice is FamilyChoice.AUTO and far and sample.size >= ENOUGH_FOR_QUANTILES
+        quantiles = self.choice == "auto" and far and sample.size >= ENOUGH_FOR_QUANTILES
         if quantiles and len(sample.censored) > 0.05 * sample.size:
             self.notes.append(which + "; too many are censored for quantiles")
         elif quantiles:

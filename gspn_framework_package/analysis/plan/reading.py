@@ -88,7 +88,7 @@ def of_events(plan: Plan) -> List[str]:
     """The assumptions about interrupting events, in words for people."""
     net = plan.net
     interrupting = [(p, t) for p in plan.action_places for t in plan.interrupts(p)]
-    timed = [t for _, t in interrupting if plan.events[t].after is not None]
+    timed = [t for _, t in interrupting if plan.events[t].comes_after is not None]
     held = [
         t
         for p, t in interrupting

@@ -6,8 +6,9 @@ import math
 from typing import Dict, Iterable, List, NamedTuple, Optional, Set, Tuple
 
 from gspn_framework_package.model.action import outcomes_of
+from gspn_framework_package.model.failure import FailureEnd
 from gspn_framework_package.model.net import Net
-from gspn_framework_package.model.plan import FailureKind, LostKind, Plan
+from gspn_framework_package.model.plan import LostKind, Plan
 from gspn_framework_package.model.plan_timing import PlanTiming
 
 
@@ -72,7 +73,7 @@ def asked_at_once(plan: Plan, place: int) -> Optional[int]:
     if len(leaving) == 1:
         return leaving[0]
     rule = plan.failure_rule(net.places[place].name)  # none is named: the action has failed
-    if rule.kind is not FailureKind.FIRE:
+    if rule.end is not FailureEnd.FIRE:
         return None
     t = net.transition_number(rule.transition)
     return t if t in net.consumers[place] else None
@@ -107,7 +108,7 @@ def may_be_named(plan: Plan, t: int, asking: Iterable[int]) -> bool:
     for place in places:
         rule = plan.failure_rule(place)
         if plan.outcomes.get(place, {}).get(name, 0.0) > 0 or (
-            rule.kind is FailureKind.FIRE and rule.transition == name
+            rule.end is FailureEnd.FIRE and rule.transition == name
         ):
             return True
     return any(

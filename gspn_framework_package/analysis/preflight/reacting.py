@@ -85,7 +85,7 @@ class ReactingChecks:
         differing = []
         for t, _ in interrupting:
             transition = net.transitions[t]
-            after = plan.events[transition.name].after
+            after = plan.events[transition.name].comes_after
             if after is not None and not 0.5 < after * transition.number < 2:
                 differing.append(
                     (

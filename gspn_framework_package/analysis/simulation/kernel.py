@@ -68,18 +68,16 @@ LOGNORMAL = 4
 DETERMINISTIC = 5
 UNIFORM = 6
 EMPIRICAL = 7
-HYPER_ERLANG = 8
 
 # What a robot asks for when it is done, where that is not a list.
 BAD_RESULT = -1
 NOWHERE = -2
 FAILED_ACTION = -3
 
-# What to do when an action fails.
-ON_FAILURE_WAIT = 0
-ON_FAILURE_RETRY = 1
-ON_FAILURE_FIRE = 2
-ON_FAILURE_STOP = 3
+# What a robot does when its action has failed and it makes no further attempt.
+FAILURE_WAITS = 0
+FAILURE_FIRES = 1
+FAILURE_STOPS = 2
 
 # What happens to a robot next.
 ENTERS = 0
@@ -306,13 +304,6 @@ def draw_duration(
         k = int(at)
         low = table[begin + k]
         return low + (table[begin + k + 1] - low) * (at - k)
-    if kind == HYPER_ERLANG:
-        left = draw_uniform(random)
-        k = begin
-        while k + 3 < end and left >= table[k]:
-            left -= table[k]
-            k += 3
-        return table[k + 2] / table[k + 1] * erlang(table[k + 1], random)
     return 0.0
 
 
@@ -929,13 +920,17 @@ def choose_ready(
 
 class Durations(NamedTuple):
     """How long actions take. ``timing_of`` has, by kind of robot and place, the number by which
-    what a robot does there is listed, here and in OutcomeArrays and Failures."""
+    what a robot does there is listed, here and in OutcomeArrays and Failures. A duration is drawn
+    from its parts (``part_from``): with their chances, a shift (s) and then a time."""
 
     timing_of: Any
-    timing_kind: Any
-    timing_mean: Any
-    timing_from: Any
-    timing_table: Any
+    part_from: Any
+    part_chance: Any
+    part_shift: Any
+    part_kind: Any
+    part_mean: Any
+    table_from: Any
+    table: Any
     timeout: Any
 
 
@@ -949,12 +944,14 @@ class OutcomeArrays(NamedTuple):
 
 
 class Failures(NamedTuple):
-    """How often actions fail, and what to do then."""
+    """How often actions fail, and what to do then: so many further attempts, each after its delay
+    (s; the last delay holds for all others), then the end of the rule."""
 
     failure: Any
-    rule: Any
     rule_times: Any
-    rule_delay: Any
+    delay_from: Any
+    delays: Any
+    rule_end: Any
     rule_list: Any
 
 
@@ -1185,7 +1182,7 @@ def serve_pending(
     durations, outcomes, failures, interrupts = visits
     _, _, _, _, _, list_group, joins_from, joins = arcs
     _, _, _, _, _, _, _, waits = lists
-    timing_of, timing_kind, _, _, _, _ = durations
+    timing_of, part_from, _, _, part_kind, _, _, _, _ = durations
     _, _, _, null_list = outcomes
     at, phase, kind, tried, _, _, visit_from = robots
     pending_robot, pending_what, heap, queue_tag, queue_robot, arrivals, _ = calendar
@@ -1210,7 +1207,7 @@ def serve_pending(
                     numbers,
                 )
             what = STARTS
-            if timing_kind[timing] == NULL_ACTION:
+            if part_kind[part_from[timing]] == NULL_ACTION:
                 what = IS_DONE
                 wish = null_list[timing]
         elif what == ENDS:
@@ -1231,11 +1228,11 @@ def serve_pending(
                 status = STOPPED
                 break
             if what == STARTS:
+                _, _, delay_from, delays, _, _ = failures
+                delay = delays[min(delay_from[timing] + tried[robot], delay_from[timing + 1] - 1)]
                 tried[robot] += 1
-                _, _, _, rule_delay, _ = failures
-                delay = rule_delay[timing]
             elif what == ASKS:
-                _, _, _, _, rule_list = failures
+                _, _, _, _, _, rule_list = failures
                 wish = rule_list[timing]
             else:
                 phase[robot] = FAILED
@@ -1265,7 +1262,7 @@ def serve_pending(
 def result(timing: int, outcomes: OutcomeArrays, failures: Failures, random: Indices) -> int:
     """The list that a robot asks for at the end of its action, or FAILED_ACTION."""
     outcome_from, outcome_list, outcome_chance, _ = outcomes
-    failure, _, _, _, _ = failures
+    failure, _, _, _, _, _ = failures
     if failure[timing] > 0.0 and draw_uniform(random) < failure[timing]:
         return FAILED_ACTION
     i = outcome_from[timing]
@@ -1279,12 +1276,12 @@ def result(timing: int, outcomes: OutcomeArrays, failures: Failures, random: Ind
 
 def after_failure(timing: int, tried: int, failures: Failures) -> int:
     """What a robot does after its action has failed: STARTS, ASKS, STOPS, or NO_MORE."""
-    _, rule, rule_times, _, rule_list = failures
-    if rule[timing] == ON_FAILURE_RETRY and tried < rule_times[timing]:
+    _, rule_times, _, _, rule_end, rule_list = failures
+    if tried < rule_times[timing]:
         return STARTS
-    if rule[timing] == ON_FAILURE_FIRE and rule_list[timing] >= 0:
+    if rule_end[timing] == FAILURE_FIRES and rule_list[timing] >= 0:
         return ASKS
-    if rule[timing] == ON_FAILURE_STOP:
+    if rule_end[timing] == FAILURE_STOPS:
         return STOPS
     return NO_MORE
 
@@ -1298,6 +1295,21 @@ def only_due(count: int, tags: Indices, robots: Indices, due_tag: Indices) -> in
             robots[kept] = robots[i]
             kept += 1
     return kept
+
+
+def draw_length(timing: int, durations: Durations, random: Indices) -> float:
+    """How long an action takes (s)."""
+    _, part_from, chance, shift, kind, mean, table_from, table, _ = durations
+    i = part_from[timing]
+    last = part_from[timing + 1] - 1
+    if i < last:
+        left = draw_uniform(random)
+        while i < last and left >= chance[i]:
+            left -= chance[i]
+            i += 1
+    return shift[i] + draw_duration(
+        kind[i], mean[i], table_from[i], table_from[i + 1], table, random
+    )
 
 
 def start(
@@ -1314,18 +1326,11 @@ def start(
     numbers: Indices,
 ) -> None:
     """Start the action of a robot after a delay (s)."""
-    _, timing_kind, timing_mean, timing_from, timing_table, timeout = durations
+    _, _, _, _, _, _, _, _, timeout = durations
     _, phase, _, _, due_tag, due_what, _ = robots
     _, _, heap_robot = heap
     phase[robot] = DOING
-    length = draw_duration(
-        timing_kind[timing],
-        timing_mean[timing],
-        timing_from[timing],
-        timing_from[timing + 1],
-        timing_table,
-        random,
-    )
+    length = draw_length(timing, durations, random)
     numbers[SEQUENCE] += 1
     sequence = numbers[SEQUENCE]
     due_tag[robot] = sequence

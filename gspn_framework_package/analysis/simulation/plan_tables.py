@@ -14,7 +14,8 @@ from gspn_framework_package.analysis.simulation.machine import ragged
 from gspn_framework_package.model.condition import Condition, parse_condition
 from gspn_framework_package.model.duration import Kind
 from gspn_framework_package.model.errors import RefusedError
-from gspn_framework_package.model.plan import FailureKind, LostKind, Plan
+from gspn_framework_package.model.failure import FailureEnd
+from gspn_framework_package.model.plan import LostKind, Plan
 from gspn_framework_package.model.plan_timing import POLICY, PlaceTiming, PlanTiming
 from gspn_framework_package.model.policy import PolicyRow
 
@@ -24,7 +25,7 @@ FEW_ENTRIES = 12
 MOST_AGENTS = 10_000
 """Most agents in a run that creates them."""
 
-_KINDS = {
+_KINDS: Dict[Any, int] = {
     Kind.EXPONENTIAL: kernel.EXPONENTIAL,
     Kind.ERLANG: kernel.ERLANG,
     Kind.GAMMA: kernel.GAMMA,
@@ -32,13 +33,11 @@ _KINDS = {
     Kind.DETERMINISTIC: kernel.DETERMINISTIC,
     Kind.UNIFORM: kernel.UNIFORM,
     Kind.EMPIRICAL: kernel.EMPIRICAL,
-    Kind.HYPER_ERLANG: kernel.HYPER_ERLANG,
 }
-_RULES = {
-    FailureKind.WAIT: kernel.ON_FAILURE_WAIT,
-    FailureKind.RETRY: kernel.ON_FAILURE_RETRY,
-    FailureKind.FIRE: kernel.ON_FAILURE_FIRE,
-    FailureKind.STOP: kernel.ON_FAILURE_STOP,
+_ENDS = {
+    FailureEnd.WAIT: kernel.FAILURE_WAITS,
+    FailureEnd.FIRE: kernel.FAILURE_FIRES,
+    FailureEnd.STOP: kernel.FAILURE_STOPS,
 }
 
 
@@ -258,11 +257,11 @@ class PlanTables:
             event_transition=_whole(self.events),
             event_rate=_real(
                 [
-                    net.transitions[t].number if source.after is None else 0.0
+                    net.transitions[t].number if source.comes_after is None else 0.0
                     for t, source in zip(self.events, sources)
                 ]
             ),
-            event_after=_real([source.after or 0.0 for source in sources]),
+            event_after=_real([source.comes_after or 0.0 for source in sources]),
             event_hold=_whole([int(source.hold) for source in sources]),
             event_test_from=test_from,
             event_tests=flat_tests,
@@ -360,14 +359,16 @@ class PlanTables:
                     known[key] = len(rows)
                     rows.append(key)
                 timing_of[c * places + p] = known[key]
-        kinds, means, lists, chances, nulls = [], [], [], [], []
-        numbers: List[List[float]] = []
-        rules, times, delays, fires, limits, failures = [], [], [], [], [], []
+        parts: List[Tuple[float, float, int, float]] = []
+        lengths, numbers, lists, chances, nulls = [], [], [], [], []
+        ends, times, delays, fires, limits, failures = [], [], [], [], [], []
         for p, null, (length, outcomes, failure, limit, _) in rows:
             at_once = null and length.mean == 0.0
-            kinds.append(kernel.NULL_ACTION if at_once else _KINDS[length.kind])
-            means.append(length.mean)
-            numbers.append([float(x) for x in length.parameters])
+            lengths.append(len(length.parts))
+            for chance, shift, part in length.parts:
+                kind = kernel.NULL_ACTION if at_once else _KINDS[part.kind]
+                parts.append((chance, shift, kind, part.mean))
+                numbers.append([float(x) for x in part.parameters])
             nulls.append(self._wish(p, POLICY))
             outcomes = tuple(o for o in outcomes if o[1] > 0) or ((POLICY, 1.0),)
             lists.append([self._wish(p, t) for t, _ in outcomes])
@@ -375,27 +376,37 @@ class PlanTables:
             failures.append(failure)
             name = net.places[p].name
             rule = plan.failure_rule(name)
-            rules.append(_RULES[rule.kind])
+            ends.append(_ENDS[rule.end])
             times.append(rule.times)
-            delays.append(rule.delay)
+            delays.append(list(rule.delays) or [0.0])
             fires.append(-1)
-            if rule.kind is FailureKind.FIRE:
+            if rule.end is FailureEnd.FIRE:
                 t = net.transition_number(rule.transition)
                 fires[-1] = self.arc_of.get((t, p), -1)
             limits.append(limit)
-        timing_from, table = ragged(numbers, np.float64)
+        table_from, table = ragged(numbers, np.float64)
         outcome_from, outcome_list = ragged(lists)
         _, outcome_chance = ragged(chances, np.float64)
+        delay_from, flat_delays = ragged(delays, np.float64)
         return (
             kernel.Durations(
-                timing_of, _whole(kinds), _real(means), timing_from, table, timeout=_real(limits)
+                timing_of,
+                part_from=np.cumsum([0, *lengths]).astype(np.int64),
+                part_chance=_real([chance for chance, _, _, _ in parts]),
+                part_shift=_real([shift for _, shift, _, _ in parts]),
+                part_kind=_whole([kind for _, _, kind, _ in parts]),
+                part_mean=_real([mean for _, _, _, mean in parts]),
+                table_from=table_from,
+                table=table,
+                timeout=_real(limits),
             ),
             kernel.OutcomeArrays(outcome_from, outcome_list, outcome_chance, _whole(nulls)),
             kernel.Failures(
                 failure=_real(failures),
-                rule=_whole(rules),
                 rule_times=_whole(times),
-                rule_delay=_real(delays),
+                delay_from=delay_from,
+                delays=flat_delays,
+                rule_end=_whole(ends),
                 rule_list=_whole(fires),
             ),
         )

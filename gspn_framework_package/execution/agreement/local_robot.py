@@ -71,7 +71,7 @@ class LocalRobot:
         self._environment = Environment(
             game,
             random.Random("%d|%s" % (config.plan.seed, config.name)),
-            without=[t for t, e in game.plan.events.items() if e.topic or e.function],
+            without=[t for t, e in game.plan.events.items() if e.is_watched],
         )
 
     # -- the log and the position ------------------------------------------------------------------

@@ -14,7 +14,8 @@ from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.verifier.cargo import Cargo, LoggedTask
 from gspn_framework_package.execution.verifier.stages import LoggedStages, starting_place
 from gspn_framework_package.model.condition import parse_condition
-from gspn_framework_package.model.plan import FailureKind, LostKind, Plan
+from gspn_framework_package.model.failure import FailureEnd
+from gspn_framework_package.model.plan import LostKind, Plan
 
 MOST_NAMES = 1_000
 """Maximum number of data names of a robot, task or team."""
@@ -423,13 +424,13 @@ class LoggedTeam:
 
     def _failed(self, robot: LoggedRobot) -> None:
         rule = self.plan.failure_rule(robot.place)
-        if rule.kind is FailureKind.RETRY and robot.failures < rule.times:
+        if robot.failures < rule.times:
             robot.failures += 1
             robot.attempt += 1
-        elif rule.kind is FailureKind.FIRE and rule.transition in self.leaving[robot.place]:
+        elif rule.end is FailureEnd.FIRE and rule.transition in self.leaving[robot.place]:
             self._ask(robot, rule.transition)
         else:
-            if rule.kind is FailureKind.STOP:
+            if rule.end is FailureEnd.STOP:
                 self.ended = "an action of %s failed" % robot.name
             else:
                 robot.phase = Phase.FAILED

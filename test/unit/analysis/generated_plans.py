@@ -15,10 +15,9 @@ from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import PlanError
 from gspn_framework_package.model.event import EventSource, Tasks
+from gspn_framework_package.model.failure import FailureRule
 from gspn_framework_package.model.net import Arc, Net, Transition
 from gspn_framework_package.model.plan import (
-    FailureKind,
-    FailureRule,
     LostKind,
     LostRule,
     Plan,
@@ -126,19 +125,15 @@ def small_plans(draw):
             failures[place] = draw(st.sampled_from([0.1, 0.5]))
         if draw(st.integers(0, 3)) == 0:
             timeouts[place] = draw(st.sampled_from([0.5, 1.0, 1.5]))
-        rule = draw(
-            st.sampled_from(
-                [None, FailureKind.RETRY, FailureKind.RETRY, FailureKind.FIRE, FailureKind.STOP]
+        rule = draw(st.sampled_from([None, "retry", "retry", "fire", "stop"]))
+        if rule == "fire" and leaving[place]:
+            rules[place] = FailureRule.fire(draw(st.sampled_from(leaving[place])))
+        elif rule == "retry":
+            rules[place] = FailureRule.retry(
+                draw(st.integers(1, 3)), draw(st.sampled_from([0.0, 0.3]))
             )
-        )
-        if rule is FailureKind.FIRE and leaving[place]:
-            rules[place] = FailureRule(rule, transition=draw(st.sampled_from(leaving[place])))
-        elif rule is FailureKind.RETRY:
-            rules[place] = FailureRule(
-                rule, draw(st.integers(1, 3)), draw(st.sampled_from([0.0, 0.3]))
-            )
-        elif rule is FailureKind.STOP and draw(st.integers(0, 3)) == 0:
-            rules[place] = FailureRule(rule)
+        elif rule == "stop" and draw(st.integers(0, 3)) == 0:
+            rules[place] = FailureRule.stop()
     routing = {}
     for name, (sources, targets) in moves.items():
         if name in net.transition_index and sources and targets and draw(st.integers(0, 2)) == 0:

@@ -18,10 +18,9 @@ from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import CancelledError, PlanError, RefusedError
+from gspn_framework_package.model.failure import FailureRule
 from gspn_framework_package.model.marking_function import parse_value, quoted_place
 from gspn_framework_package.model.plan import (
-    FailureKind,
-    FailureRule,
     Plan,
     RobotSpec,
     Timing,
@@ -457,7 +456,7 @@ def test_nobody_asks_for_one_of_several_exponential_transitions():
     plan = make_plan(builder, idle=["a"])
     (item,) = check(plan).of("unasked")
     assert item.details["place"] == "a" and item.severity is Severity.REFUSED
-    says = {"a": FailureRule(FailureKind.FIRE, transition="other")}
+    says = {"a": FailureRule.fire("other")}
     assert not check(replace(plan, on_failure=says)).refused
     nowhere = replace(make_plan(builder, idle=["a", "b"]), on_failure=says)
     assert severities(check(nowhere), "timeless_cycle") == [Severity.REFUSED]
@@ -644,7 +643,7 @@ def test_what_an_action_may_name_can_fire_although_the_policy_never_chooses_it()
     assert check(plan).of("never_fire")[0].details["transitions"] == ["meet", "c_back"]
     named = replace(plan, outcomes={"d": {"": 0.5, "meet": 0.5}})
     assert not check(named).of("never_fire")
-    rule = {"d": FailureRule(FailureKind.FIRE, transition="meet")}
+    rule = {"d": FailureRule.fire("meet")}
     assert not check(replace(plan, on_failure=rule)).of("never_fire")
 
 

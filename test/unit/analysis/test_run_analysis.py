@@ -23,8 +23,9 @@ from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError
+from gspn_framework_package.model.failure import FailureEnd, FailureRule
 from gspn_framework_package.model.net import Net
-from gspn_framework_package.model.plan import FailureKind, FailureRule, Plan, RobotSpec
+from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.model.plan_timing import PlanTiming
 from gspn_framework_package.model.policy import Policy, PolicyRow
 from gspn_framework_package.run_net.phases import number_of_phases, phases_of
@@ -583,7 +584,7 @@ def workshop(rule, robots=1, **more):
 
 
 def test_a_failure_fires_what_its_rule_says():
-    analysis = Analysis(workshop(FailureRule(FailureKind.FIRE, transition="break")))
+    analysis = Analysis(workshop(FailureRule.fire("break")))
     cycle = 1 + 0.7 * 2 + 0.3 * 5
     assert analysis.measures.throughput["go"] == pytest.approx(0.7 / cycle)
     assert analysis.measures.throughput["break"] == pytest.approx(0.3 / cycle)
@@ -592,15 +593,31 @@ def test_a_failure_fires_what_its_rule_says():
 
 def test_retries_are_counted():
     """Two retries at most: the work ends well within three attempts with 1 - 0.3^3."""
-    passage = Analysis(workshop(FailureRule(FailureKind.RETRY, times=2))).first_passage("rest >= 1")
+    passage = Analysis(workshop(FailureRule.retry(2))).first_passage("rest >= 1")
     assert passage.probability == pytest.approx(1 - 0.3**3)
 
 
+def test_each_retry_has_its_delay_and_the_last_failure_fires():
+    rule = FailureRule("growing", 2, (0.5, 4.0), FailureEnd.FIRE, "break")
+    measures = Analysis(workshop(rule)).measures
+    first, second, third = 0.3, 0.3**2, 0.3**3
+    work = 1 + first * (0.5 + 1) + second * (4.0 + 1)
+    cycle = work + (1 - third) * 2 + third * 5
+    assert measures.throughput["break"] == pytest.approx(third / cycle)
+    assert measures.mean_tokens["work"] == pytest.approx(work / cycle)
+
+
+def test_delays_beyond_those_that_are_told_apart_are_said():
+    rule = FailureRule("growing", 30, tuple(float(k) for k in range(1, 31)))
+    said = Analysis(workshop(rule, failures={"work": 0.9})).timing.assumptions
+    assert "robots in work try again after 20 s from failure 20 on" in said
+
+
 def test_many_retries_are_retries_without_end():
-    analysis = Analysis(workshop(FailureRule(FailureKind.RETRY, times=1000, delay=0.5)))
+    analysis = Analysis(workshop(FailureRule.retry(1000, delay=0.5)))
     cycle = 1 / 0.7 + 0.3 / 0.7 * 0.5 + 2
     assert analysis.measures.throughput["go"] == pytest.approx(1 / cycle)
-    ten = Analysis(workshop(FailureRule(FailureKind.RETRY, times=21), failures={"work": 0.9}))
+    ten = Analysis(workshop(FailureRule.retry(21), failures={"work": 0.9}))
     assert any("try again without end" in said for said in ten.timing.assumptions)
 
 
@@ -611,7 +628,7 @@ def test_a_robot_whose_action_failed_for_good_stays():
 
 
 def test_a_failure_stops_the_team():
-    analysis = Analysis(workshop(FailureRule(FailureKind.STOP), robots=2))
+    analysis = Analysis(workshop(FailureRule.stop(), robots=2))
     # the first of both to end decides, while nobody else has come back
     assert analysis.first_passage("rest >= 1").probability == pytest.approx(0.7)
     ends = {tuple(analysis.space.named(d).items()) for d in analysis.properties.deadlocks}
@@ -620,7 +637,7 @@ def test_a_failure_stops_the_team():
 
 @pytest.mark.parametrize("duration", [Duration.erlang(3, 1.0), Duration.uniform(0.2, 1.8)])
 def test_a_timeout_cuts_an_attempt_off(duration):
-    rule = FailureRule(FailureKind.FIRE, transition="break")
+    rule = FailureRule.fire("break")
     plan = workshop(rule, failures={}, timeouts={"work": 1.2}, durations={"work": duration})
     analysis = Analysis(plan)
     late = duration.survival(1.2)
@@ -631,14 +648,14 @@ def test_a_timeout_cuts_an_attempt_off(duration):
 
 
 def test_an_action_that_takes_no_time_fails_too():
-    rule = FailureRule(FailureKind.FIRE, transition="break")
+    rule = FailureRule.fire("break")
     analysis = Analysis(workshop(rule, durations={"work": Duration.deterministic(0.0)}))
     assert analysis.measures.throughput["break"] == pytest.approx(0.3 / (0.7 * 2 + 0.3 * 5))
 
 
 def test_an_action_that_names_nothing_has_failed():
     """Two exponential transitions leave the place, and the action names none of them."""
-    plan = workshop(FailureRule(FailureKind.FIRE, transition="break"), failures={})
+    plan = workshop(FailureRule.fire("break"), failures={})
     plan = replace(plan, outcomes={"work": {"": 1.0}})
     measures = Analysis(plan).measures
     assert measures.throughput["go"] == 0

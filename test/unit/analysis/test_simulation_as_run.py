@@ -26,8 +26,9 @@ from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.condition import parse_condition
-from gspn_framework_package.model.duration import Duration, Kind
+from gspn_framework_package.model.duration import Duration, DurationPart, Family, Kind
 from gspn_framework_package.model.errors import CancelledError, RefusedError, UsageError
+from gspn_framework_package.model.families import compose
 from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.model.plan_timing import PlanTiming
 from gspn_framework_package.model.policy import Policy, PolicyRow
@@ -184,15 +185,38 @@ def test_the_kernel_is_compiled_once_for_all_plans(monkeypatch):
     assert len(machine.compiled_kernel()["play"].signatures) == 1
 
 
-@pytest.mark.parametrize("length", DURATIONS, ids=lambda d: d.kind.value)
+LATE = compose(
+    Family(
+        "late",
+        {"chance": {}, "delay": {}},
+        ("delay",),
+        lambda chance, delay: [
+            DurationPart(1 - chance, 0.0, Duration.erlang(3, 2.0)),
+            DurationPart(chance, delay, Duration.gamma(1.5, 1.0)),
+        ],
+    ),
+    {"chance": 0.3, "delay": 1.5},
+)
+
+
+@pytest.mark.parametrize("length", [*DURATIONS, LATE], ids=lambda d: d.kind.value)
 def test_durations_are_those_of_the_plan(length):
     """Kolmogorov's test of 2,000 visits, with an error of one in ten million."""
     state = [11, 22, 33, 44]
-    table = [float(x) for x in length.parameters]
-    drawn = [
-        kernel.draw_duration(_KINDS[length.kind], length.mean, 0, len(table), table, state)
-        for _ in range(2000)
-    ]
+    chances, shifts, parts = zip(*length.parts)
+    table_from, table = machine.ragged([part.parameters for part in parts], np.float64)
+    durations = kernel.Durations(
+        timing_of=[0],
+        part_from=[0, len(parts)],
+        part_chance=chances,
+        part_shift=shifts,
+        part_kind=[_KINDS[part.kind] for part in parts],
+        part_mean=[part.mean for part in parts],
+        table_from=table_from,
+        table=table,
+        timeout=[math.inf],
+    )
+    drawn = [kernel.draw_length(0, durations, state) for _ in range(2000)]
     if length.kind is Kind.DETERMINISTIC:
         assert set(drawn) == {length.mean}
     else:

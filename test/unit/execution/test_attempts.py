@@ -23,7 +23,8 @@ from gspn_framework_package.model.attempt import EventCount
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.event import EventSource
-from gspn_framework_package.model.plan import FailureKind, FailureRule, Plan, Timing
+from gspn_framework_package.model.failure import FAILURE_KINDS, FailureKind, FailureRule
+from gspn_framework_package.model.plan import Plan, Timing
 
 TOUR, MEET, TOKENS, CROWD = range(4)
 
@@ -59,7 +60,7 @@ def test_attempts_end_with_their_results_and_go_on_at_the_end_of_the_log(tmp_pat
 def test_failures_and_retries_are_attempts_of_their_own_and_delays_are_not_part_of_them(
     tmp_path,
 ) -> None:
-    rules = {"A": FailureRule(FailureKind.RETRY, 1, 2.0)}
+    rules = {"A": FailureRule.retry(1, 2.0)}
     story = Story(ring(on_failure=rules)).start()
     story.slot(1.0, Failed("a", 0, 1, 1, "aborted"))
     story.slot(1.5, Failed("b", 0, 1, 1, "timeout"))
@@ -195,7 +196,7 @@ def test_a_firing_of_an_event_tells_no_end_of_an_action() -> None:
 
 
 def test_a_follower_tells_of_what_goes_on_now() -> None:
-    story = Story(ring(on_failure={"A": FailureRule(FailureKind.RETRY, 1, 2.0)})).start()
+    story = Story(ring(on_failure={"A": FailureRule.retry(1, 2.0)})).start()
     story.slot(1.0, Failed("a", 0, 1, 1, "aborted"))
     follower = AttemptFollower(story.plan, agents=True)
     ended = [attempt for record in story.records for attempt in follower.take(record)]
@@ -225,7 +226,7 @@ def goal(
 
 
 def test_a_robots_own_log_tells_when_its_goals_were_sent(tmp_path) -> None:
-    story = own_story(ring(on_failure={"A": FailureRule(FailureKind.RETRY, 1, 2.0)}))
+    story = own_story(ring(on_failure={"A": FailureRule.retry(1, 2.0)}))
     goal(story, 0.6, "A", 1, 1)
     story.slot(1.0, Failed("a", 0, 1, 1, "aborted"))
     goal(story, 1.0, "A", 1, 2)
@@ -250,6 +251,26 @@ def test_a_robots_own_log_tells_when_its_goals_were_sent(tmp_path) -> None:
         ("a", "A", 3, 1, 6.5, 7.0, "censored"),
         ("a", "A", 3, 2, 31.5, 33.0, "done"),
     ]
+
+
+def test_each_goal_has_the_delay_of_its_own_attempt(tmp_path, monkeypatch) -> None:
+    rule = FailureRule("growing", 3, (1.0, 2.0))
+    kind = FailureKind(lambda data: rule, lambda rule: {"growing": 3}, {"type": "object"})
+    monkeypatch.setitem(FAILURE_KINDS, "growing", kind)
+    story = own_story(ring(on_failure={"A": rule}))
+    goal(story, 1.0, "A", 1, 1)
+    for attempt, end in ((1, 2.0), (2, 4.0), (3, 7.0), (4, 10.0)):
+        story.slot(end, Failed("a", 0, 1, attempt, "aborted"))
+        if attempt < 4:
+            goal(story, end, "A", 1, attempt + 1)
+    story.slot(11.0, log_entries.Retry("a"))
+    goal(story, 11.0, "A", 1, 5)
+    story.slot(12.0, Failed("a", 0, 1, 5, "aborted"))
+    goal(story, 12.0, "A", 1, 6)
+    story.slot(14.0, Done("a", 0, 1, "t1"))
+    log = gather([story.save(tmp_path / "a.jsonl")])
+    begun = [row[4] for row in told(log.attempts) if row[:2] == ("a", "A")]
+    assert begun == [1.0, 3.0, 6.0, 9.0, 11.0, 13.0]
 
 
 def test_the_monotonic_clock_of_another_boot_is_not_compared(tmp_path) -> None:

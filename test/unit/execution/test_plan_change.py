@@ -21,9 +21,8 @@ from gspn_framework_package.formats.plan_json import plan_from_json
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.event import Tasks
+from gspn_framework_package.model.failure import FailureRule
 from gspn_framework_package.model.plan import (
-    FailureKind,
-    FailureRule,
     Plan,
     RobotSpec,
     Synchronisation,
@@ -177,7 +176,7 @@ def test_names_that_change_are_mapped_even_in_results_of_running_actions() -> No
 
 def test_a_result_that_names_no_transition_of_the_new_plan_is_a_failure() -> None:
     run = Run(_plan(_round("A", "B")))
-    run.stage(_plan(_round("A", "C"), on_failure={"A": FailureRule(FailureKind.RETRY, 1, 0.0)}))
+    run.stage(_plan(_round("A", "C"), on_failure={"A": FailureRule.retry(1, 0.0)}))
     run.adopt()
     step = run.done("r1", "A_B")
     assert "'A_B' does not leave A" in run.faults(step)

@@ -23,8 +23,9 @@ from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.execution.verifier.slot_check import BrokenRuleError, SlotCheck
 from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.failure import FailureEnd, FailureRule
 from gspn_framework_package.model.net import Net
-from gspn_framework_package.model.plan import FailureKind, FailureRule, LostKind, LostRule
+from gspn_framework_package.model.plan import LostKind, LostRule
 from gspn_framework_package.model.policy import Policy
 
 
@@ -415,7 +416,7 @@ def test_a_result_that_names_no_possible_transition_is_a_fault(result: str) -> N
 
 
 def test_on_failure_retry_then_wait() -> None:
-    rule = FailureRule(FailureKind.RETRY, 2, 0.5)
+    rule = FailureRule.retry(2, 0.5)
     run = Run(make_plan(line(), ["P1"], on_failure={"P1": rule}))
     run.fail("a")
     assert run.commands[-1] == StartAction("a", "P1", 0, 1, 2, 0.5)
@@ -428,12 +429,19 @@ def test_on_failure_retry_then_wait() -> None:
     assert "timeout" in run.why("a")
 
 
-def test_on_failure_fire_and_stop() -> None:
-    run = Run(
-        make_plan(line(), ["P1"], on_failure={"*": FailureRule(FailureKind.FIRE, transition="T1")})
-    )
+def test_a_rule_may_have_a_delay_for_each_attempt_and_then_any_end() -> None:
+    rule = FailureRule("growing", 3, (0.5, 2.0), FailureEnd.FIRE, "T1")
+    run = Run(make_plan(line(), ["P1"], on_failure={"P1": rule}))
+    for attempt, delay in ((2, 0.5), (3, 2.0), (4, 2.0)):
+        assert run.fail("a") == []
+        assert run.commands[-1] == StartAction("a", "P1", 0, 1, attempt, delay)
     assert run.fail("a") == ["T1"]
-    run = Run(make_plan(line(), ["P1", "P2"], on_failure={"P1": FailureRule(FailureKind.STOP)}))
+
+
+def test_on_failure_fire_and_stop() -> None:
+    run = Run(make_plan(line(), ["P1"], on_failure={"*": FailureRule.fire("T1")}))
+    assert run.fail("a") == ["T1"]
+    run = Run(make_plan(line(), ["P1", "P2"], on_failure={"P1": FailureRule.stop()}))
     run.fail("a", "lost")
     assert run.state.ended is not None
     assert CancelAction("b", 1) in run.commands

@@ -19,7 +19,8 @@ from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.event import EventSource, Tasks
-from gspn_framework_package.model.plan import FailureKind, FailureRule, Plan, RobotSpec
+from gspn_framework_package.model.failure import FailureRule
+from gspn_framework_package.model.plan import Plan, RobotSpec
 
 ACT = FunctionAction("actions.work", "work")
 
@@ -73,8 +74,8 @@ def test_failures_retries_and_timeouts():
         durations=FIXED,
         timeouts={"b": 1.0},
         on_failure={
-            "a": FailureRule(FailureKind.RETRY, 1000, 0.5),
-            "b": FailureRule(FailureKind.FIRE, transition="u"),
+            "a": FailureRule.retry(1000, 0.5),
+            "b": FailureRule.fire("u"),
         },
         failures={"a": 0.5},
     )

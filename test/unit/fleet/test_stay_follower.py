@@ -11,7 +11,8 @@ from logged_runs import Story, ring
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.log_entries import Done, Failed
 from gspn_framework_package.fleet.stay_follower import DAY_SECONDS, StayFollower
-from gspn_framework_package.model.plan import FailureKind, FailureRule, Plan
+from gspn_framework_package.model.failure import FailureRule
+from gspn_framework_package.model.plan import Plan
 
 BEGIN = 1e9
 
@@ -59,7 +60,7 @@ def test_a_stay_tells_what_the_robot_did_in_it() -> None:
 
 
 def test_failures_alarms_and_orders_are_moments() -> None:
-    rules = {"A": FailureRule(FailureKind.RETRY, 1)}
+    rules = {"A": FailureRule.retry(1)}
     story = Story(ring(on_failure=rules)).start()
     story.slot(1.0, Failed("a", 0, 1, 1, "aborted"))  # is tried again
     story.slot(2.0, Failed("a", 0, 1, 1, "aborted"))  # stale
@@ -88,7 +89,7 @@ def test_failures_alarms_and_orders_are_moments() -> None:
 
 
 def test_a_failure_counts_for_the_place_that_the_robot_leaves_because_of_it() -> None:
-    rules = {"A": FailureRule(FailureKind.FIRE, transition="t1")}
+    rules = {"A": FailureRule.fire("t1")}
     story = Story(ring(on_failure=rules)).start()
     story.slot(1.0, Failed("a", 0, 1, 1, "aborted"))
     assert kinds(followed(story)) == [("failure", "a", "A", 1)]

@@ -19,9 +19,8 @@ from gspn_framework_package.formats.plan_json import (
 )
 from gspn_framework_package.model.action import FunctionAction, ServerAction
 from gspn_framework_package.model.errors import GspnError, PlanError
+from gspn_framework_package.model.failure import FailureRule
 from gspn_framework_package.model.plan import (
-    FailureKind,
-    FailureRule,
     LostKind,
     Synchronisation,
     Transport,
@@ -106,8 +105,8 @@ def test_everything_that_a_plan_can_say_is_read(tmp_path: Path) -> None:
     assert plan.action("red", "Q") is None
     assert plan.synchronisation is Synchronisation.PARTIAL
     assert plan.transport is Transport.ZENOH
-    assert plan.failure_rule("P") == FailureRule(FailureKind.RETRY, 2, 0.5)
-    assert plan.failure_rule("count").kind is FailureKind.STOP
+    assert plan.failure_rule("P") == FailureRule.retry(2, 0.5)
+    assert plan.failure_rule("count").kind == "stop"
     assert plan.timeout("Q") == 10
     assert (plan.on_lost.kind, plan.on_lost.transition) == (LostKind.FIRE, "T")
     assert (plan.timing.evict_after, plan.timing.fence_after, plan.fsync) == (5, 2, True)

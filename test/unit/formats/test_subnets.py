@@ -15,7 +15,6 @@ from gspn_framework_package.formats.plan_file import plan_document, read_plan
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json
 from gspn_framework_package.model.action import FunctionAction, ServerAction
 from gspn_framework_package.model.errors import GspnError
-from gspn_framework_package.model.plan import FailureKind
 from gspn_framework_package.model.subnet import Subnet
 
 DOCK = {
@@ -188,9 +187,9 @@ def test_a_subnet_comes_with_all_that_its_plan_says(folder):
         "Right.Docked": 60,
     }
     rule = plan.failure_rule("Right.Wait")
-    assert (rule.kind, rule.transition) == (FailureKind.FIRE, "Right.again")
+    assert (rule.kind, rule.transition) == ("fire", "Right.again")
     assert plan.failure_rule("Right.Approach").times == 2
-    assert plan.failure_rule("Work").kind is FailureKind.WAIT
+    assert plan.failure_rule("Work").kind == "wait"
     assert plan.on_evict == {
         "Left.Approach": {"Field": 1},
         "Left.Wait": {"Field": 1},

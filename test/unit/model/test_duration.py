@@ -7,10 +7,32 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gspn_framework_package.model.duration import Duration, Kind, duration_from_json
+from gspn_framework_package.formats.plan_json import schema
+from gspn_framework_package.model.duration import KEYS, Duration, DurationPart, Family, Kind
 from gspn_framework_package.model.errors import PlanError
+from gspn_framework_package.model.families import FAMILIES, FOLLOWS, compose, duration_from_json
 
 MEANS = st.floats(1e-3, 1e3)
+
+
+def late(chance, delay):
+    """Mostly prompt; else only after a delay."""
+    return [
+        DurationPart(1 - chance, 0.0, Duration.erlang(3, 2 * delay)),
+        DurationPart(chance, delay, Duration.lognormal(0.5, delay)),
+    ]
+
+
+LATE = Family("late", {"chance": {"type": "number"}, "delay": {"type": "number"}}, ("delay",), late)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def family_of_somebody_else():
+    FAMILIES["late"] = LATE
+    yield
+    del FAMILIES["late"]
+
+
 DURATIONS = st.one_of(
     st.builds(Duration.exponential, MEANS),
     st.builds(Duration.erlang, st.integers(1, 50), MEANS),
@@ -28,6 +50,11 @@ DURATIONS = st.one_of(
         st.integers(1, 9),
         MEANS,
         MEANS,
+    ),
+    st.builds(
+        lambda chance, delay: compose(LATE, {"chance": chance, "delay": delay}),
+        st.floats(0.01, 0.99),
+        st.floats(0.1, 5.0),
     ),
 )
 
@@ -75,6 +102,7 @@ def test_the_moments_are_those_of_the_quantiles(duration):
         Duration.empirical([1.0, 1.0, 1.0, 2.0, 4.0, 4.0]),
         Duration.hyper_erlang([(0.3, 2, 1.0), (0.7, 1, 5.0)]),
         Duration.deterministic(2.0),
+        compose(LATE, {"chance": 0.3, "delay": 1.5}),
     ],
     ids=lambda d: d.kind.value,
 )
@@ -91,6 +119,7 @@ def test_the_hazard_is_finite_far_out_in_the_tail():
         Duration.gamma(59.3, 1.2),
         Duration.lognormal(0.1, 1.0),
         Duration.hyper_erlang([(0.5, 3, 1.0), (0.5, 40, 2.0)]),
+        compose(LATE, {"chance": 0.3, "delay": 0.05}),
     ):
         near, far = duration.hazard_integral(np.array([100.0, 1000.0]))
         assert 100 < near < far < math.inf
@@ -114,8 +143,38 @@ def test_the_hazard_is_finite_far_out_in_the_tail():
             "sum to 0.5",
         ),
         ({"mean": 1, "distribution": "lognormal", "sigma": 11}, "too large"),
+        ({"distribution": "late", "chance": 0.3}, "'delay' is missing"),
+        ({"distribution": "late", "chance": 1.3, "delay": 2}, "the parts of the family 'late' are"),
+        ({"distribution": "late", "chance": 0.5, "delay": 2, "mean": 9}, "the mean is given as 9"),
     ],
 )
 def test_what_is_wrong_is_said(data, message):
     with pytest.raises(PlanError, match=message):
         duration_from_json(data)
+
+
+def test_a_family_that_does_not_scale_is_refused():
+    """It has a time that is not a parameter."""
+
+    def parts(rest):
+        return [DurationPart(1.0, 2.0, Duration.exponential(rest))]
+
+    rigid = Family("rigid", {"rest": {}}, ("rest",), parts)
+    with pytest.raises(PlanError, match="the family 'rigid' cannot be scaled"):
+        compose(rigid, {"rest": 1.0}).scaled(2.0)
+
+
+def test_a_time_is_cut_off_where_its_survival_jumps():
+    late = Family(
+        "set", {"at": {}}, ("at",), lambda at: [DurationPart(1.0, at, Duration.deterministic(at))]
+    )
+    cut = compose(late, {"at": 0.7}).cut_off(2.0)
+    assert (cut.mean, cut.variance) == pytest.approx((1.4, 0.0), abs=1e-9)
+
+
+def test_the_schema_names_the_parameters_for_the_page():
+    parameters = schema()["definitions"]["duration"]["parameters"]
+    del parameters["late"]
+    assert {kind: set(keys) for kind, keys in parameters.items()} == {
+        kind.value: {*KEYS[kind], *(() if kind in FOLLOWS else ("mean",))} for kind in Kind
+    }

@@ -3,12 +3,12 @@ that stands for somebody else's, without a change to any other file."""
 
 import json
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
+from seams_table import SEAMS
 
 from gspn_framework_package.analysis.sweeps import variation
 from gspn_framework_package.cli import main as dispatcher
@@ -22,7 +22,6 @@ from gspn_framework_package.execution.actions import (
 )
 from gspn_framework_package.execution.agreement.interface import OrderResult
 from gspn_framework_package.execution.log_entries import Giver
-from gspn_framework_package.execution.plan_modules import allow_modules
 from gspn_framework_package.formats import FORMATS, read_net, register, write_net
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.action import FunctionAction
@@ -31,19 +30,8 @@ from gspn_framework_package.model.errors import NetError, PlanError, UsageError
 from gspn_framework_package.team.carrier import Operator, OperatorAnswer, OperatorRequest
 from gspn_framework_package.team.commands import Commands
 from gspn_framework_package.team.jobs import LocalJob
-from gspn_framework_package.team.orders import ORDERS
 
 ROOT = Path(__file__).resolve().parents[3]
-
-
-@pytest.fixture(autouse=True)
-def toys(monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).parent))
-    allow_modules(["toys"])
-    yield
-    allow_modules(())
-    for name in [name for name in sys.modules if name.split(".")[0] == "toys"]:
-        del sys.modules[name]
 
 
 # -- the table
@@ -69,16 +57,19 @@ def test_the_files_of_a_row_hold_the_names_that_it_gives(row):
 
 
 def test_the_rows_that_say_so_are_tested_here():
-    assert [row for row in ROWS if row.endswith("(tested)")] == [
-        "a file format (tested)",
-        "a measure (tested)",
-        "a parameter of `gspn sweep` (tested)",
-        "a verb (tested)",
-        "a tool for language models (tested)",
-        "an order of the operator (tested)",
-        "an action of your own (tested)",
-        "a kind of action (tested)",
-    ]
+    assert {row for row in ROWS if row.endswith("(tested)")} == {s + " (tested)" for s in SEAMS}
+
+
+@pytest.mark.parametrize("what", SEAMS)
+def test_a_tested_row_names_what_the_test_touches(what):
+    row = ROWS[what + " (tested)"]
+    for where in SEAMS[what]:
+        file, table = where.split(": ")
+        assert "`%s`" % file in row and "`%s`" % table in row
+    others = {"`formats/plan.schema.json`", "`ros/action_kinds.py`"}  # of this package's own kinds
+    assert set(re.findall(r"`[a-z_/]+[.](?:py|json)`", row)) - others == {
+        "`%s`" % where.split(": ")[0] for where in SEAMS[what]
+    }
 
 
 # -- a file format
@@ -132,9 +123,8 @@ def test_a_name_or_extension_that_is_taken_is_refused(toy_format, changed):
 # -- a verb
 
 
-def test_a_verb_is_found_by_its_row(monkeypatch, capsys):
-    verb = dispatcher.Verb("toys.toy_verb", "count words")
-    monkeypatch.setitem(dispatcher.VERBS, "count", verb)
+def test_a_verb_is_found_by_its_row(add, capsys):
+    add("a verb", ("count", dispatcher.Verb("toys.toy_verb", "count words")))
     assert dispatcher.main(["count", "one", "two"]) == 0
     assert capsys.readouterr().out == "2\n"
     assert dispatcher.main(["--help"]) == 0
@@ -164,10 +154,10 @@ class Host:
 
 
 @pytest.fixture
-def toy_order(monkeypatch):
+def toy_order(add):
     from toys import toy_order
 
-    monkeypatch.setitem(ORDERS, "greet", toy_order.GREET)
+    add("an order of the operator", ("greet", toy_order.GREET))
     return toy_order
 
 
@@ -220,10 +210,10 @@ def test_the_page_describes_the_order_and_gives_it(toy_order):
 # -- a tool for language models
 
 
-def test_a_tool_is_a_row_that_names_a_verb(monkeypatch, tmp_path):
+def test_a_tool_is_a_row_that_names_a_verb(add, tmp_path):
     machine(tmp_path)
     row = mcp_tools.TOOLS["analyse"]._replace(about="count markings", fields={"plan": {}})
-    monkeypatch.setitem(mcp_tools.TOOLS, "count", row)
+    add("a tool for language models", ("count", row))
     tools = mcp_tools.PlanTools(str(tmp_path), False, mcp_tools.CallLimits(100.0, 200_000))
     listed = {tool["name"]: tool["description"] for tool in tools.listed()}
     assert listed["count"] == "count markings"
@@ -234,12 +224,12 @@ def test_a_tool_is_a_row_that_names_a_verb(monkeypatch, tmp_path):
 # -- a parameter of a sweep
 
 
-def test_a_parameter_of_a_sweep_is_a_row(monkeypatch, tmp_path, capsys):
+def test_a_parameter_of_a_sweep_is_a_row(add, tmp_path, capsys):
     def faster(net, element, factor, timing):
         return net.with_rates({t.name: t.rate * factor for t in net.transitions})
 
     row = variation._KINDS["rate"]._replace(change=faster, of_element=False)
-    monkeypatch.setitem(variation._KINDS, "speed", row)
+    add("a parameter of `gspn sweep`", ("speed", row))
     words = ["sweep", machine(tmp_path), "--vary", "speed=1,2", "--measure", "fail", "--json"]
     assert dispatcher.main([*words, "--time", "200", "--replications", "20"]) == 0
     slow, fast = json.loads(capsys.readouterr().out)["points"]
@@ -338,22 +328,6 @@ def test_settings_are_kept_when_a_plan_is_written(tmp_path, capsys):
     folder = plan_in(tmp_path, in_turn("first", "on"))
     assert dispatcher.main(["convert", folder, str(tmp_path / "one.json")]) == 0
     assert read_plan(str(tmp_path / "one.json")).actions == read_plan(folder).actions
-
-
-@pytest.fixture
-def toy_kind(monkeypatch):
-    from toys import toy_kind
-
-    from gspn_framework_package.execution.local_kinds import LOCAL_KINDS
-    from gspn_framework_package.formats import plan_json
-    from gspn_framework_package.model.action import ACTION_KINDS
-
-    whole = plan_json.schema()
-    whole["definitions"]["action"]["oneOf"].append(toy_kind.FORM)
-    monkeypatch.setattr(plan_json, "schema", lambda: whole)
-    monkeypatch.setitem(ACTION_KINDS, "say", toy_kind.SayAction)
-    monkeypatch.setitem(LOCAL_KINDS, toy_kind.SayAction, toy_kind.ready)
-    return toy_kind
 
 
 def test_a_kind_of_action_with_a_key_of_its_own(toy_kind, tmp_path, capsys):

@@ -18,7 +18,8 @@ from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.model.event import EventSource, Tasks
-from gspn_framework_package.model.plan import FailureKind, FailureRule, Plan, RobotSpec
+from gspn_framework_package.model.failure import FailureRule
+from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.model.policy import Policy, PolicyRow
 from gspn_framework_package.testing import ActionAttempt, Coverage, Scenario
 
@@ -111,7 +112,7 @@ def test_events_of_time_come_by_themselves() -> None:
 
 
 def test_the_test_says_what_actions_do() -> None:
-    run = Scenario(shop(on_failure={"Deliver": FailureRule(FailureKind.RETRY, 5, 1.0)}))
+    run = Scenario(shop(on_failure={"Deliver": FailureRule.retry(5, 1.0)}))
     run.action("Deliver", seconds=2.0, fails="aborted", times=2)
     run.action("Deliver", seconds=3.0, data={"team.seen": 4}, times=1)
     run.submit("order")

@@ -16,7 +16,7 @@ from gspn_framework_package.execution.firing import firing_from_json
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.duration import Duration
-from gspn_framework_package.model.plan import FailureKind, FailureRule
+from gspn_framework_package.model.failure import FailureRule
 from gspn_framework_package.visualizer.documents import Folder
 from gspn_framework_package.visualizer.live_comparison import RunFollower
 from gspn_framework_package.visualizer.project import Project
@@ -78,7 +78,7 @@ def test_the_events_of_the_page_tell_the_same_as_the_log(name):
         plan,
         durations={p: Duration.gamma(8.0, 1.0 + i / 10) for i, p in enumerate(actions)},
         failures=dict.fromkeys(actions, 0.15),
-        on_failure={"*": FailureRule(FailureKind.RETRY, times=100, delay=0.5)},
+        on_failure={"*": FailureRule.retry(100, delay=0.5)},
     ).validate()
     told, attempts, follower, result = _told(plan, 60.0)
     ends = [a for a in told.ended if a[4] and a[1] in actions]

@@ -10,13 +10,6 @@ from gspn_framework_package.execution.local_kinds import LocalAction
 from gspn_framework_package.model.data import fill
 from gspn_framework_package.model.plan import Plan
 
-FORM = {
-    "type": "object",
-    "required": ["say"],
-    "additionalProperties": False,
-    "properties": {"say": {"type": ["string", "object"]}},
-}
-
 said: List[Any] = []
 
 
@@ -24,6 +17,13 @@ class SayAction(NamedTuple):
     """Say ``message``, which may be a reference to data."""
 
     message: Any
+
+    FORM = {
+        "type": "object",
+        "required": ["say"],
+        "additionalProperties": False,
+        "properties": {"say": {"type": ["string", "object"]}},
+    }
 
     @property
     def label(self) -> str:
@@ -44,7 +44,10 @@ def ready(plan: Plan, action: SayAction) -> LocalAction:
     """The action, ready to be done."""
 
     def do(context: ActionContext) -> ActionResult:
-        said.append(fill(action.message, context.data))
+        message = fill(action.message, context.data)
+        if message == "":
+            raise ValueError("nothing to say")
+        said.append(message)
         return ActionResult("", {"said": len(said)})
 
     return do

@@ -30,17 +30,6 @@ function evidenceText(of) {
   return `learned from ${plural(of.observations, "observation")}${from}${interval}`;
 }
 
-const KEYS = {
-  exponential: ["mean"],
-  erlang: ["mean", "phases"],
-  gamma: ["mean", "shape"],
-  lognormal: ["mean", "sigma"],
-  deterministic: ["mean"],
-  uniform: ["low", "high"],
-  empirical: ["quantiles"],
-  "hyper-erlang": ["branches"],
-};
-const FOLLOWS = ["uniform", "empirical", "hyper-erlang"]; // their mean follows from the rest
 const START = { mean: 1, phases: 2, shape: 2, sigma: 0.5, low: 0, high: 2 };
 
 const kindOf = (value) => value?.distribution ?? "exponential";
@@ -59,15 +48,16 @@ function meanOf(value) {
 }
 
 /** What is wrong with a duration beyond its schema. As in model/duration.py. */
-function durationProblem(value) {
+function durationProblem(schema, value) {
   const kind = kindOf(value);
-  for (const key of KEYS[kind] ?? []) if (value[key] === undefined) return `${key} is missing`;
+  const keys = schema.parameters[kind];
+  const follows = !keys.includes("mean"); // the mean follows from the rest
+  for (const key of keys) if (value[key] === undefined) return `${key} is missing`;
   const foreign = Object.keys(value).find(
-    (key) => !["distribution", "of", "mean", ...KEYS[kind]].includes(key),
+    (key) => !["distribution", "of", "mean", ...keys].includes(key),
   );
   if (foreign) return `${foreign} does not belong to ${kind}`;
-  if (!FOLLOWS.includes(kind) && kind !== "deterministic" && !(value.mean > 0))
-    return "the mean is more than 0";
+  if (!follows && kind !== "deterministic" && !(value.mean > 0)) return "the mean is more than 0";
   if (kind === "lognormal" && value.sigma > 10) return "sigma is at most 10";
   if (kind === "uniform" && !(value.low < value.high)) return "low is below high";
   if (kind === "empirical") {
@@ -79,7 +69,7 @@ function durationProblem(value) {
     const sum = value.branches.reduce((total, branch) => total + branch.probability, 0);
     if (Math.abs(sum - 1) > 1e-6) return `the probabilities add up to ${number(sum)}, not 1`;
   }
-  if (FOLLOWS.includes(kind) && value.mean !== undefined) {
+  if (follows && value.mean !== undefined) {
     const mean = meanOf(value);
     if (Math.abs(value.mean - mean) > 0.01 * mean)
       return `the mean follows from the rest (${number(mean)} s): leave it out`;
@@ -88,10 +78,11 @@ function durationProblem(value) {
 }
 
 /** The value with another distribution, with the same mean if that is known. */
-function withKind(value, kind) {
+function withKind(schema, value, kind) {
   const mean = meanOf(value) || 1;
   const result = { distribution: kind };
-  for (const key of KEYS[kind]) result[key] = value[key] ?? START[key];
+  for (const key of schema.parameters[kind])
+    result[key] = value[key] ?? START[key] ?? schema.properties[key].default ?? 1;
   if ("mean" in result) result.mean = mean;
   if (kind === "uniform") Object.assign(result, { low: mean / 2, high: 1.5 * mean });
   if (kind === "empirical") result.quantiles = [mean / 2, mean, 1.5 * mean];
@@ -102,19 +93,18 @@ function withKind(value, kind) {
 export function durationForm(form, lens, title, schema) {
   const whole = form.whole(
     learned(lens),
-    (value) => problemOf(schema, value, form.schema) || durationProblem(value),
+    (value) => problemOf(schema, value, form.schema) || durationProblem(schema, value),
   );
   const value = whole.get() ?? {};
   const kind = kindOf(value);
   const distribution = whole.as(
     kindOf,
-    (chosen, before) => withKind(before ?? {}, chosen),
+    (chosen, before) => withKind(schema, before ?? {}, chosen),
     "distribution",
   );
-  const shown = [
-    ...KEYS[kind],
-    ...(value.mean !== undefined && !KEYS[kind].includes("mean") ? ["mean"] : []),
-  ];
+  const keys = schema.parameters[kind];
+  const follows = !keys.includes("mean");
+  const shown = [...keys, ...(value.mean !== undefined && follows ? ["mean"] : [])];
   return [
     form.labelled(
       "Distribution",
@@ -130,7 +120,7 @@ export function durationForm(form, lens, title, schema) {
       const name = key === "mean" ? "Mean (s)" : wordOf(key);
       return key === "quantiles"
         ? form.labelled(name, numbersField(form, part, at, name), part.description)
-        : schemaField(form, part, at, name, {}, !(key === "mean" && FOLLOWS.includes(kind)));
+        : schemaField(form, part, at, name, {}, !(key === "mean" && follows));
     }),
     form.verdict(whole),
     evidence(form, schema, whole, title),

@@ -178,7 +178,7 @@ function changedNames(state, place, transition, said) {
   const VALUE = {
     actions: action,
     on_failure: (rule) => {
-      const now = fires(rule);
+      const now = typeof rule === "string" ? fires(rule) : mapped(rule, (k) => k, fires);
       if (now === null) said(`the rule '${rule}'`);
       return now;
     },

@@ -2,23 +2,30 @@
 
 import { NAMES } from "./names.js";
 import { problemOf, resolved, typeOf } from "./schema.js";
+import { blankOf, objectForm } from "./schema_form.js";
 
 /** A rule that tries again, as an object. */
 const retryOf = (rule) =>
   typeOf(rule) === "object" ? rule : { retry: Number(String(rule).split(" ")[1]) };
 
-/** wait, stop, retry N, fire T, {retry, delay}. */
+/** wait, stop, retry N, fire T, {retry, delay}, and the objects that other packages have added. */
 export function failureRule(form, lens, title) {
   const value = lens.get();
   const place = lens.name;
-  const kind = typeOf(value) === "object" ? "retry" : String(value).split(" ")[0];
+  const [, retry, ...added] = form.schema.properties.on_failure.additionalProperties.oneOf;
+  const nameOf = ({ required }) => required[0];
+  const own = typeOf(value) === "object" && added.find((it) => nameOf(it) in value);
+  const plain = typeOf(value) === "object" ? "retry" : String(value).split(" ")[0];
+  const kind = own ? nameOf(own) : plain;
   const leaving = place === "*" ? NAMES.transitions(form.state) : NAMES.leaving(form.state, place);
   const START = { wait: "wait", stop: "stop", retry: "retry 3", fire: `fire ${leaving[0] ?? ""}` };
+  for (const it of added) START[nameOf(it)] = blankOf(it, form.schema);
   const kinds = [
     ["wait", "wait for the operator"],
     ["stop", "stop the team"],
     ["retry", "try again"],
     ...(leaving.length || kind === "fire" ? [["fire", "fire a transition"]] : []),
+    ...added.map((it) => [nameOf(it), it.title]),
   ];
   const times = lens.as(
     (it) => retryOf(it).retry,
@@ -28,15 +35,12 @@ export function failureRule(form, lens, title) {
   const delay = lens.as(
     (it) => retryOf(it).delay,
     (seconds, it) => {
-      const { retry } = retryOf(it);
-      return seconds === undefined ? `retry ${retry}` : { retry, delay: seconds };
+      const { retry: count } = retryOf(it);
+      return seconds === undefined ? `retry ${count}` : { retry: count, delay: seconds };
     },
     "delay",
   );
-  const rule = resolved(
-    form.schema.properties.on_failure.additionalProperties.oneOf[1],
-    form.schema,
-  );
+  const rule = resolved(retry, form.schema);
   return [
     form.labelled(
       "The robot",
@@ -67,7 +71,13 @@ export function failureRule(form, lens, title) {
       ),
     ],
     kind === "fire" && fired(form, lens, title, leaving),
+    own && ownRule(form, lens, title, own),
   ];
+}
+
+function ownRule(form, lens, title, schema) {
+  const whole = form.whole(lens, (value) => problemOf(schema, value, form.schema));
+  return [objectForm(form, schema, whole, title), form.verdict(whole)];
 }
 
 function fired(form, lens, title, offered) {

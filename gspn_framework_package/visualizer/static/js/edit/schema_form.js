@@ -212,8 +212,9 @@ function objectsForm(form, schema, lens, title) {
 }
 
 /** The smallest value that a schema allows, as far as that can be derived. */
-function blankOf(part, root) {
+export function blankOf(part, root) {
   const schema = resolved(part, root);
+  if (schema.default !== undefined) return schema.default;
   switch ([schema.type].flat()[0]) {
     case "object":
       return Object.fromEntries(
