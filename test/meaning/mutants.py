@@ -11,6 +11,7 @@ from typing import Any, List, Sequence
 from gspn_framework_package.analysis.decisions import building, decision_net, playing
 from gspn_framework_package.analysis.plan import edited_nets, markings, structure
 from gspn_framework_package.analysis.simulation import kernel, plan_run, plan_tables, state_cache
+from gspn_framework_package.analysis.state_space import rated_graph
 from gspn_framework_package.execution import environment, token_game, turn, virtual_time
 from gspn_framework_package.execution import rules as run_queries
 from gspn_framework_package.model import net, policy
@@ -268,7 +269,11 @@ _TABLE: Sequence[Any] = (
         "optimiser",
         "of resources: all alike",
         ["spontaneous_first"],
-        (building.Stages.spontaneous, "[t.weight for", "[1.0 for"),
+        (
+            building.Stages.spontaneous,
+            "rate_or_weight(net, t, self.space.store, self.sources[arcs[mine]])",
+            "1.0",
+        ),
     ),
     (
         "weights",
@@ -862,14 +867,14 @@ _TABLE: Sequence[Any] = (
         "optimiser",
         "any number of servers",
         ["degrees"],
-        (building.Stages.rates, "if transition.servers is not None:", "if False:"),
+        (rated_graph.firing_rate, "if transition.servers is not None:", "if False:"),
     ),
     (
         "degrees",
         "optimiser",
         "one server",
         ["degrees"],
-        (building.Stages.rates, "if transition.servers == 1 or", "if True or"),
+        (rated_graph.firing_rate, "if transition.servers == 1:", "if True:"),
     ),
     # -- time
     (
