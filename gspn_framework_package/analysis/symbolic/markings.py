@@ -17,6 +17,7 @@ from gspn_framework_package.analysis.symbolic.steps import (
     NO_CONDITION,
     NO_STEP,
     FiringRule,
+    Precedence,
     StepTable,
     TooManyCasesError,
     rule_of,
@@ -89,14 +90,13 @@ def count_markings(
     groups = [[number[name] for name in names if name in number] for names in together]
     orders = promising_orders(net, [group for group in groups if group])[:_ORDERS]
     watch = watch or Watch()
+    diagrams = [_Diagram(net, order) for order in orders]
     found = None
     if form is None:
-        found = _race(
-            [_Diagram(net, order, PLAIN) for order in orders], memory, watch, _PLAIN_TURNS
-        )
+        found = _race(diagrams, PLAIN, memory, watch, _PLAIN_TURNS)
         form = best_form()
     if found is None:
-        found = _race([_Diagram(net, order, form) for order in orders], memory, watch)
+        found = _race(diagrams, form, memory, watch)
     assert found is not None
     return _Counting(found, memory, watch).counts()
 
@@ -104,42 +104,48 @@ def count_markings(
 class _Diagram:
     """The set of reachable markings under one order of the places, as far as it was found."""
 
-    def __init__(self, net: Net, order: PlaceOrder, form: KernelForm) -> None:
+    def __init__(self, net: Net, order: PlaceOrder) -> None:
         self.net = net
         self.order = order
-        self.form = form
         self.levels = len(order)
         self.level_of = [0] * self.levels
         for i, p in enumerate(order):
             self.level_of[p] = self.levels - i
-        self.root = UNIT
-        self.done = self.levels == 0
-        self._level = 0
-
-    def prepare(self, watch: Watch) -> None:
-        """Make the steps; nothing else may be called before.
-
-        :raises LimitError: there are too many cases, or it took too long.
-        """
-        net = self.net
         self.rules = [rule_of(net, t, self.level_of) for t in range(len(net.transitions))]
-        self.table = StepTable(self.levels)
+        self._table: Optional[StepTable] = None
+
+    def begin(self, form: KernelForm, watch: Watch) -> None:
+        """Begin from the initial marking.
+
+        :raises TooManyCasesError: the steps of this order are too large.
+        :raises LimitError: making them took too long.
+        """
+        if self._table is None:
+            self._table = self._steps(watch)
+        self.table = self._table
+        self.form = form
+        self.machine = Machine(form, self.table.lists())
+        self.root = UNIT
+        self._level = 0
+        self._next_level()
+
+    def _steps(self, watch: Watch) -> StepTable:
+        table = StepTable(self.levels)
         above: List[FiringRule] = []
-        for numbers in _by_precedence(net):
+        for numbers in _by_precedence(self.net):
             rules = [rule for rule in (self.rules[t] for t in numbers) if rule is not None]
+            precedence = Precedence(above)
             for done, rule in enumerate(rules):
                 watch.step("transitions", done)
                 if rule.change:
-                    step = self.table.step(rule, above, closing=True)
+                    step = table.step(rule, precedence, closing=True)
                     if step != NO_STEP:
-                        self.table.fire_from(step)
+                        table.fire_from(step)
             above = above + rules
-        self.machine = Machine(self.form, self.table.lists())
+        return table
 
     def go_on(self, turns: int) -> None:
         """Go on for about this many operations, or until it is done or needs more room."""
-        if self._level == 0:
-            self._next_level()
         until = self.machine.work + turns
         while not self.done and self.machine.work < until:
             if not self.machine.go_on(until - self.machine.work):
@@ -165,20 +171,24 @@ def _by_precedence(net: Net) -> Iterator[List[int]]:
 
 
 def _race(
-    diagrams: List[_Diagram], memory: float, watch: Watch, most: Optional[int] = None
+    diagrams: List[_Diagram],
+    form: KernelForm,
+    memory: float,
+    watch: Watch,
+    most: Optional[int] = None,
 ) -> Optional[_Diagram]:
-    """The diagram that is complete first; None if none is after ``most`` operations in all."""
-    turns = _FIRST_TURNS
+    """The diagram that is complete first; None if none is after ``most`` operations in all.
+
+    Each round has twice as many diagrams as the last, and gives each twice as many operations.
+    """
+    turns, contestants, spent = _FIRST_TURNS, 1, 0
     left = list(diagrams)
     running: List[_Diagram] = []
-    spent = 0
     while True:
-        for diagram in list(left):
-            if diagram not in left:
-                continue
+        for diagram in left[:contestants]:
             if diagram not in running:
                 try:
-                    diagram.prepare(watch)
+                    diagram.begin(form, watch)
                 except TooManyCasesError:
                     left.remove(diagram)
                     if not left:
@@ -186,8 +196,7 @@ def _race(
                     continue
                 running.append(diagram)
             until = diagram.machine.work + turns
-            piece = _SLICE[diagram.form.compiled]
-            while diagram in left and diagram.machine.work < until:
+            while diagram in running and diagram.machine.work < until:
                 # whatever grows needs the old and the new at the same time
                 if sum(each.machine.memory for each in running) > memory / 2:
                     largest = max(running, key=lambda each: each.machine.memory)
@@ -196,7 +205,7 @@ def _race(
                     left.remove(largest)
                     running.remove(largest)
                     continue
-                diagram.go_on(min(until - diagram.machine.work, piece))
+                diagram.go_on(min(until - diagram.machine.work, _SLICE[form.compiled]))
                 if diagram.done:
                     return diagram
                 watch.step("nodes", sum(each.machine.nodes for each in running))
@@ -204,6 +213,7 @@ def _race(
             if most is not None and spent > most:
                 return None
         turns *= 2
+        contestants *= 2
 
 
 def _no_room(memory: float, nodes: int) -> LimitError:
@@ -312,9 +322,9 @@ class _Counting:
         diagram = self._diagram
         rules = [rule for rule in (diagram.rules[t] for t in transitions) if rule is not None]
         try:
-            steps = [diagram.table.step(NO_CONDITION, rules)]
+            steps = [diagram.table.step(NO_CONDITION, Precedence(rules))]
         except TooManyCasesError:  # one by one, which is slower
-            steps = [diagram.table.step(NO_CONDITION, [rule]) for rule in rules]
+            steps = [diagram.table.step(NO_CONDITION, Precedence([rule])) for rule in rules]
         diagram.machine.use(diagram.table.lists())
         for step in steps:
             if step == NO_STEP or root == NO_MARKING:

@@ -25,6 +25,7 @@ _MOST_ROWS = 1_000_000
 
 _Gone = FrozenSet[int]
 Range = Tuple[int, int]
+_Cases = List[Tuple[int, int, _Gone]]
 StepRows = Tuple[Tuple[int, int, int], ...]
 
 
@@ -60,6 +61,51 @@ def rule_of(net: Net, t: int, level_of: Sequence[int]) -> Optional[FiringRule]:
     return FiringRule(guard, {level_of[p]: change for p, change in net.effect(t)})
 
 
+class Precedence:
+    """Transitions of which none may be enabled, level by level, from the highest on.
+
+    :param rules: their rules.
+    :ivar always: whether one of them is enabled in every marking.
+    :ivar levels: the levels that their guards ask, the highest first.
+    :ivar steps: the steps that only ask for them, of those made so far.
+    """
+
+    def __init__(self, rules: Sequence[FiringRule] = ()) -> None:
+        self.always = any(not rule.guard for rule in rules)
+        self._asked: Dict[int, List[Tuple[int, int, int]]] = {}
+        for number, rule in enumerate(rules):
+            for level, (least, below) in rule.guard.items():
+                self._asked.setdefault(level, []).append((number, least, below))
+        self._lowest = [min(rule.guard, default=0) for rule in rules]
+        self._cases: Dict[Tuple[int, _Gone], _Cases] = {}
+        self.levels = sorted(self._asked, reverse=True)
+        self.steps: Dict[Tuple[bool, int, _Gone], int] = {}
+
+    def cases(self, level: int, gone: _Gone) -> _Cases:
+        """The ranges of tokens at a level in which none of the transitions is enabled yet.
+
+        :param gone: those known to be disabled by a higher level, and asked about by a lower one
+            again; each range comes with those after this level.
+        """
+        found = self._cases.get((level, gone))
+        if found is None:
+            found = self._cases[level, gone] = self._new_cases(level, gone)
+        return found
+
+    def _new_cases(self, level: int, gone: _Gone) -> _Cases:
+        open_ = [asked for asked in self._asked.get(level, []) if asked[0] not in gone]
+        last_asked = {number for number, _, _ in open_ if self._lowest[number] == level}
+        ends = {0, MANY}.union(end for _, *two in open_ for end in two)
+        found: _Cases = []
+        cuts = sorted(ends)
+        for first, last in zip(cuts, cuts[1:]):
+            fails = {number for number, least, below in open_ if not least <= first < below}
+            if last_asked <= fails:  # otherwise, one of them is enabled
+                after = frozenset(n for n in gone | fails if self._lowest[n] < level)
+                found.append((first, last, after))
+        return found
+
+
 class StepTable:
     """Makes steps, and numbers them."""
 
@@ -67,7 +113,8 @@ class StepTable:
         self._levels = levels
         self._known: Dict[Tuple[int, int, bool, StepRows], int] = {}
         self._steps: List[Tuple[int, int, bool, StepRows]] = [(0, 0, False, ())]
-        self._rows = 0
+        self._rows = 0  # of the steps so far, and before the one that is being made
+        self._rows_before = 0
         self._top: List[Set[Tuple[int, int, int, int]]] = [set() for _ in range(levels + 1)]
 
     def fire_from(self, step: int) -> None:
@@ -105,70 +152,74 @@ class StepTable:
             top_rest,
         )
 
-    def step(
-        self, rule: FiringRule, above: Sequence[FiringRule] = (), closing: bool = False
-    ) -> int:
+    def step(self, rule: FiringRule, above: Precedence, closing: bool = False) -> int:
         """The step of a transition, or of its guard alone.
 
-        :param above: the rules of the transitions that must not be enabled.
+        :param above: the transitions that must not be enabled.
         :param closing: whether the result is closed under the transitions.
         :raises TooManyCasesError: all steps together have too many rows.
         """
-        levels = set(rule.guard) | set(rule.change)
-        for other in above:
-            if not other.guard:
-                return NO_STEP
-            levels.update(other.guard)
-        ordered = sorted(levels, reverse=True)
-        lowest = [min(other.guard) for other in above]
-        at_level: Dict[int, List[int]] = {}
-        for h, other in enumerate(above):
-            for level in other.guard:
-                at_level.setdefault(level, []).append(h)
-
-        # down: the others that are known to be disabled, as far as lower levels ask about them
-        before = self._rows
-        plans: List[Dict[_Gone, List[Tuple[int, int, _Gone]]]] = []
+        if above.always:
+            return NO_STEP
+        self._rows_before = self._rows
+        touched = rule.guard.keys() | rule.change.keys()
+        lowest = min(touched, default=self._levels + 1)
+        levels = [level for level in above.levels if level > lowest and level not in touched]
+        levels = sorted([*levels, *touched], reverse=True)
+        plans: List[Tuple[int, Dict[_Gone, _Cases]]] = []
         here: Set[_Gone] = {frozenset()}
-        for level in ordered:
+        for level in levels:
             low, high = rule.guard.get(level, (0, MANY))
-            asked = at_level.get(level, [])
-            plan: Dict[_Gone, List[Tuple[int, int, _Gone]]] = {}
-            below: Set[_Gone] = set()
-            for gone in here:
-                ranges = plan[gone] = []
-                left = [(h, *above[h].guard[level]) for h in asked if h not in gone]
-                ends = {low, high}
-                for _, least, most in left:
-                    ends.update(end for end in (least, most) if low < end < high)
-                cuts = sorted(ends)
-                for first, last in zip(cuts, cuts[1:]):
-                    fails = [h for h, least, most in left if not least <= first < most]
-                    if sum(lowest[h] == level for h, _, _ in left) > sum(
-                        lowest[h] == level for h in fails
-                    ):
-                        continue  # one of them is enabled
-                    after = frozenset(h for h in (*gone, *fails) if lowest[h] < level)
-                    ranges.append((first, last, after))
-                    below.add(after)
-                self._rows += len(ranges)
-            if self._rows > _MOST_ROWS:
-                self._rows = before
-                raise TooManyCasesError(
-                    "not decided: the priorities make more than %s cases" % format(_MOST_ROWS, ",")
-                )
-            plans.append(plan)
-            here = below
-
-        # up: the steps
-        made: Dict[_Gone, int] = dict.fromkeys(here, IDENTITY)
-        for level, plan in zip(reversed(ordered), reversed(plans)):
+            plan = {
+                gone: [
+                    (max(first, low), min(last, high), after)
+                    for first, last, after in above.cases(level, gone)
+                    if first < high and last > low
+                ]
+                for gone in here
+            }
+            self._count_rows(plan)
+            plans.append((level, plan))
+            here = {after for cases in plan.values() for _, _, after in cases}
+        made = {gone: self._without(above, lowest, gone, closing) for gone in here}
+        for level, plan in reversed(plans):
             change = rule.change.get(level, 0)
             made = {
-                gone: self._made(level, change, closing, [(a, b, made[g]) for a, b, g in ranges])
-                for gone, ranges in plan.items()
+                gone: self._made(level, change, closing, [(a, b, made[g]) for a, b, g in cases])
+                for gone, cases in plan.items()
             }
         return made[frozenset()]
+
+    def _without(self, above: Precedence, below: int, gone: _Gone, closing: bool) -> int:
+        """The step from the markings of the levels lower than ``below`` that enable none of these
+        transitions, besides those that are ``gone``."""
+        known = above.steps
+        levels = [level for level in above.levels if level < below]
+        plans: List[Tuple[int, Dict[_Gone, _Cases]]] = []
+        here: Set[_Gone] = {gone}
+        for level in levels:
+            plan = {g: above.cases(level, g) for g in here if (closing, level, g) not in known}
+            self._count_rows(plan)
+            plans.append((level, plan))
+            here = {after for cases in plan.values() for _, _, after in cases}
+        lower: Optional[int] = None
+        for level, plan in reversed(plans):
+            for g, cases in plan.items():
+                rows = [
+                    (a, b, IDENTITY if lower is None else known[closing, lower, after])
+                    for a, b, after in cases
+                ]
+                known[closing, level, g] = self._made(level, 0, closing, rows)
+            lower = level
+        return IDENTITY if lower is None else known[closing, lower, gone]
+
+    def _count_rows(self, plan: Dict[_Gone, _Cases]) -> None:
+        self._rows += sum(map(len, plan.values()))
+        if self._rows > _MOST_ROWS:
+            self._rows = self._rows_before
+            raise TooManyCasesError(
+                "not decided: the priorities make more than %s cases" % format(_MOST_ROWS, ",")
+            )
 
     def _made(
         self, level: int, change: int, closing: bool, ranges: List[Tuple[int, int, int]]
