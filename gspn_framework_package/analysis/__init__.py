@@ -10,7 +10,7 @@ Behind it, each folder builds on those before it:
 - ``state_space``: the reachable markings, found by one of three engines; coverability; properties
   read off the graph (deadlocks, liveness, home states);
 - ``plan``: the same for a plan under its policy;
-- ``proofs``: what holds in all markings, by the state equation, where they are too many to visit;
+- ``proofs``: what holds in all markings, with proofs that can be checked, and witnesses;
 - ``symbolic``: how many markings there are, where they are too many to visit, by decision diagrams;
 - ``chain``: the Markov chain of a state space, vanishing markings eliminated;
 - ``solution``: steady state, transient, first passage, and the measures derived from them;

@@ -37,6 +37,11 @@ class Watch:
         """Whether the work was cancelled."""
         return self._cancel is not None and self._cancel()
 
+    def half(self) -> Watch:
+        """A watch over the next half of the time that is left."""
+        left = self._seconds - (time.monotonic() - self._start)
+        return Watch(self._progress, self._cancel, self._interval, left / 2)
+
     def step(self, what: str, count: int) -> None:
         """Report that ``count`` of ``what`` are done.
 

@@ -1,44 +1,181 @@
-"""``gspn check``: runs the check that precedes every run."""
+"""``gspn check``: runs the check that precedes every run, and decides questions about all
+markings."""
 
 from __future__ import annotations
 
 import argparse
 import json
+from typing import TYPE_CHECKING, Any, Dict, List, Union
 
-from gspn_framework_package.analysis.preflight import MARKING_LIMIT
+from gspn_framework_package.analysis.preflight import MARKING_LIMIT, PROOF_SECONDS
+from gspn_framework_package.analysis.preflight.report import PreflightReport, marking_text, sequence
 from gspn_framework_package.cli import numbers
-from gspn_framework_package.cli.options import MODULES_OPTION, Argument, Arguments
+from gspn_framework_package.cli.options import MODULES_OPTION, Argument, Arguments, repeated
 from gspn_framework_package.cli.progress import ProgressLine
-from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.formats.plan_file import is_plan, read_net_or_plan, read_plan
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros.check_all import check_all
 
+if TYPE_CHECKING:
+    from gspn_framework_package.analysis.proofs.ladder import Answer
+    from gspn_framework_package.analysis.proofs.questions import MarkingQuestion
+
+_QUESTIONS: Arguments = {
+    repeated("--never", "CONDITION"): (
+        "decide whether a condition on the marking, such as 'a >= 2 and b == 0', never holds (this "
+        "and the other questions may be repeated)"
+    ),
+    repeated("--always", "CONDITION"): "decide whether a condition on the marking always holds",
+    repeated("--apart", "PATTERN"): (
+        "decide whether no place whose name matches, such as 'At_*', ever has two tokens"
+    ),
+    repeated("--never-fires", "TRANSITION"): "decide whether a transition never fires",
+    Argument("--certificate", "FILE"): (
+        "decide also whether a dead marking, or one that needs a policy row and has none, can be "
+        "reached, and write the proofs of all that is proven; 'gspn verify FILE' checks them"
+    ),
+}
+
 OPTIONS: Arguments = {
-    Argument("plan", "PLAN"): "a plan file, or a folder with a plan.json",
+    Argument("plan", "PLAN"): (
+        "a plan file, or a folder with a plan.json; with questions about all markings, also a net"
+    ),
     "--json": "print the report as one JSON object",
     Argument("--limit", "N", numbers.markings, MARKING_LIMIT): (
         "maximum number of markings to visit if structure cannot decide (default %(default)s)"
     ),
     Argument("--robots", "N", numbers.robots): "check the plan for a team of N robots",
     "--standalone": "check the plan for agents, which transitions may create and destroy",
+    Argument("--seconds", "S", numbers.number(0, 1e6), PROOF_SECONDS): (
+        "time for each question that visiting markings leaves open, and for each that is asked "
+        "(default %(default)g)"
+    ),
+    **_QUESTIONS,
     **MODULES_OPTION,
 }
 
-EPILOG = "Exit codes: 0 the plan may run (read the warnings), 1 refused, 2 not a plan."
+EPILOG = (
+    "Exit codes: 0 the plan may run (read the warnings) and all that was asked is proven, 1 "
+    "refused, or something is not proven, 2 not a plan."
+)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check the plan and print the report."""
-    plan = read_plan(args.plan)
-    if args.robots is not None:
-        plan = plan.for_robots(args.robots)
-    with ProgressLine() as progress:
-        report = check_all(plan, limit=args.limit, standalone=args.standalone, progress=progress)
+    """Check the plan, decide what is asked, and print the report and the answers."""
+    if any((args.never, args.always, args.apart, args.never_fires, args.certificate)):
+        return _decide(args)
+    plan = _plan(args)
+    report = _report(args, plan)
     if args.json:
-        data = report.to_json()
-        data["notes"] = list(plan.notes)
+        print(json.dumps(_as_json(report, plan), indent=2))
+    else:
+        _print(report, plan)
+    return report.exit_code
+
+
+def _plan(args: argparse.Namespace) -> Plan:
+    plan = read_plan(args.plan)
+    return plan if args.robots is None else plan.for_robots(args.robots)
+
+
+def _report(args: argparse.Namespace, plan: Plan) -> PreflightReport:
+    with ProgressLine() as progress:
+        return check_all(
+            plan,
+            limit=args.limit,
+            standalone=args.standalone,
+            seconds=args.seconds,
+            progress=progress,
+        )
+
+
+def _as_json(report: PreflightReport, plan: Plan) -> Dict[str, Any]:
+    return {**report.to_json(), "notes": list(plan.notes)}
+
+
+def _print(report: PreflightReport, plan: Plan) -> None:
+    for note in plan.notes:
+        print("note     %s" % note)
+    print(report)
+
+
+def _decide(args: argparse.Namespace) -> int:
+    """Decide the questions that are asked; of a plan, after the check."""
+    from gspn_framework_package.cli import proofs
+
+    subject: Union[Net, Plan]
+    data: Dict[str, Any] = {}
+    code = 0
+    if is_plan(args.plan):
+        subject = _plan(args)
+        report = _report(args, subject)
+        code = report.exit_code
+        data = _as_json(report, subject)
+        if not args.json:
+            _print(report, subject)
+    else:
+        subject = read_net_or_plan(args.plan).net
+    answers = _answers(args, subject, proofs.asked(args, subject))
+    if args.certificate:
+        found = [
+            {"question": answer.question._asdict(), "certificate": answer.certificate}
+            for answer in answers
+            if answer.certificate is not None
+        ]
+        proofs.write_proofs(args.certificate, args, found)
+    data["answers"] = [answer.to_json() for answer in answers]
+    if args.json:
         print(json.dumps(data, indent=2))
     else:
-        for note in plan.notes:
-            print("note     %s" % note)
-        print(report)
-    return report.exit_code
+        print("\n".join(map(_text, answers)))
+    return code or int(not _all_proven(answers))
+
+
+def _answers(
+    args: argparse.Namespace, subject: Union[Net, Plan], questions: List[MarkingQuestion]
+) -> List[Answer]:
+    """The answers, also with the losses of robots if these are possible."""
+    from gspn_framework_package.analysis.proofs.ladder import decide_question, decide_with_losses
+
+    lossy = (
+        isinstance(subject, Plan)
+        and subject.timing.evict_after > 0
+        and len(subject.robots) > 1
+        and not args.standalone
+    )
+    found: List[Answer] = []
+    with ProgressLine() as progress:
+        for question in questions:
+            more: Dict[str, Any] = {
+                "seconds": args.seconds,
+                "limit": args.limit,
+                "progress": progress,
+            }
+            if lossy:
+                found += decide_with_losses(subject, question, **more)
+            else:
+                found.append(decide_question(subject, question, **more))
+    return found
+
+
+def _all_proven(answers: List[Answer]) -> bool:
+    """Whether each question is proven, at least as long as no robot is lost."""
+    proven = {a.question._replace(losses=False) for a in answers if a.certificate is not None}
+    return all(answer.question._replace(losses=False) in proven for answer in answers)
+
+
+def _text(answer: Answer) -> str:
+    said = "%-12s %s" % (answer.verdict, answer.question.statement)
+    last = answer.steps[-1]
+    if answer.sequence is not None:
+        return "%s: %s leads to %s (%s)" % (
+            said,
+            sequence(answer.sequence),
+            marking_text(answer.marking or {}),
+            last.name,
+        )
+    if answer.certificate is not None:
+        return "%s (%s: %s)" % (said, last.name, last.outcome)
+    steps = "; ".join("%s: %s" % (step.name, step.outcome) for step in answer.steps)
+    return "%s (%s)" % (said, steps)

@@ -1,4 +1,5 @@
-"""``gspn verify``: checks that the logs of a run are consistent and valid."""
+"""``gspn verify``: checks that the logs of a run are consistent and valid, or proofs of ``gspn
+check``."""
 
 from __future__ import annotations
 
@@ -7,11 +8,15 @@ import json
 import os
 
 from gspn_framework_package.cli.options import Argument, Arguments
+from gspn_framework_package.cli.proofs import checked_proofs, holds_proofs
 from gspn_framework_package.execution.event_log import DamagedLogError, log_files, read_log
 from gspn_framework_package.execution.verifier import Verdict, Violation, verify
 
 OPTIONS: Arguments = {
-    Argument("logs", "LOG", nargs="+"): "event logs of one run, or a folder of them",
+    Argument("logs", "LOG", nargs="+"): (
+        "event logs of one run, or a folder of them; or one file with proofs (gspn check "
+        "--certificate), which are held against the plan as it is now"
+    ),
     "--settled": (
         "nothing was pending at the end of the run, so that a proposal missing from the log is a "
         "violation"
@@ -21,12 +26,15 @@ OPTIONS: Arguments = {
 }
 
 EPILOG = (
-    "Exit codes: 0 valid, 1 a rule is broken (the first one is explained), 2 not logs of one run."
+    "Exit codes: 0 valid, 1 a rule is broken (the first one is explained) or a proof refused, 2 "
+    "not logs of one run, nor proofs."
 )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check the logs and print the verdict."""
+    """Check the logs, or proofs, and print the verdict."""
+    if len(args.logs) == 1 and holds_proofs(args.logs[0]):
+        return _check_proofs(args)
     files = log_files(args.logs)
     sizes = [os.path.getsize(path) if os.path.exists(path) else None for path in files]
     try:
@@ -48,3 +56,15 @@ def run(args: argparse.Namespace) -> int:
         else:
             print("valid")
     return 0 if verdict.violation is None else 1
+
+
+def _check_proofs(args: argparse.Namespace) -> int:
+    results = list(checked_proofs(args.logs[0]))
+    if args.json:
+        rows = [{"statement": text, "refused": why} for text, why in results]
+        print(json.dumps({"proofs": rows}, indent=2))
+    else:
+        for text, why in results:
+            print("REFUSED    %s: %s" % (text, why) if why else "valid      %s" % text)
+        print("%d proofs" % len(results))
+    return int(any(why for _, why in results))

@@ -197,3 +197,53 @@ def test_all_commands_refuse_a_plan_that_would_end_at_once(tmp_path, capsys):
     assert main(["simulate", plan, "--time", "5", "--log", log]) == 1
     assert main(["deploy", plan]) == 1
     assert "the check refuses the plan: no place has an action" in capsys.readouterr().err
+
+
+# -- questions about all markings ------------------------------------------------------------------
+
+
+def test_questions_are_decided_and_their_proofs_checked(tmp_path, capsys):
+    pytest.importorskip("scipy", minversion="1.7")
+    (tmp_path / "plan.json").write_text(json.dumps(PLAN))
+    (tmp_path / "work.py").write_text("def go():\n    pass\n")
+    file = str(tmp_path / "proofs.json")
+    words = ["check", str(tmp_path), "--never", "P + Q > 1", "--always", "P >= 1 or Q >= 1"]
+    words += ["--apart", "*", "--certificate", file]
+    assert main(words) == 0
+    told = capsys.readouterr().out
+    assert "proven       never P + Q > 1 (structure" in told
+    assert told.count("\nproven ") == 5, "two of them are asked for the certificate's sake"
+    assert main(["verify", file]) == 0
+    assert "5 proofs" in capsys.readouterr().out
+
+    assert main(["check", str(tmp_path), "--never", "Q >= 1", "--never-fires", "U", "--json"]) == 1
+    answers = json.loads(capsys.readouterr().out)["answers"]
+    assert [answer["verdict"] for answer in answers] == ["violated", "violated"]
+    assert [answer["sequence"] for answer in answers] == [["T"], ["T"]]
+
+    two = json.loads(json.dumps(PLAN))
+    two["net"]["places"][0]["tokens"] = 2
+    (tmp_path / "plan.json").write_text(json.dumps(two))
+    assert main(["verify", file]) == 1, "the plan has changed"
+    assert "REFUSED    never P + Q > 1" in capsys.readouterr().out
+    assert main(["verify", file, "--json"]) == 1
+    assert any(row["refused"] for row in json.loads(capsys.readouterr().out)["proofs"])
+
+
+def test_a_net_can_be_asked_about_too(tmp_path, capsys):
+    net = str(tmp_path / "net.pnml")
+    (tmp_path / "plan.json").write_text(json.dumps(PLAN))
+    assert main(["convert", str(tmp_path), net]) == 0
+    capsys.readouterr()
+    assert main(["check", net, "--never", "P + Q > 1"]) == 0
+    assert "never P + Q > 1" in capsys.readouterr().out
+    assert main(["check", net, "--never", "nowhere > 1"]) == 2
+    assert "there is no place 'nowhere'" in capsys.readouterr().err
+
+
+def test_files_that_only_begin_like_proofs_are_refused(tmp_path, capsys):
+    file = tmp_path / "proofs.json"
+    for text in ('{"format": "gspn_proofs"', '{"format": "gspn_proofs"}'):
+        file.write_text(text)
+        assert main(["verify", str(file)]) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1

@@ -10,7 +10,7 @@ transition itself, unless the plan's ``outcomes`` say so).
 from __future__ import annotations
 
 import math
-from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
+from typing import Any, Callable, Collection, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 import numpy as np
 
@@ -54,6 +54,8 @@ class PlanMarkings:
     :param plan: a validated plan.
     :param limit: most states to visit.
     :param losses: whether robots can be lost.
+    :param seconds: stop visiting after this time (s).
+    :param keep: counters that are not left out.
     """
 
     def __init__(
@@ -64,17 +66,19 @@ class PlanMarkings:
         losses: bool,
         progress: Optional[Progress] = None,
         cancel: Optional[Cancel] = None,
+        seconds: float = math.inf,
+        keep: Collection[str] = (),
     ) -> None:
         self.plan = plan
         self.losses = losses
-        self.left_out = plan.counters
+        self.left_out = tuple(p for p in plan.counters if p not in keep)
         net = plan.net.without_places(self.left_out)
         self._own = len(net.transitions)
         if losses:
             net = with_losses(net, plan, set(self.left_out))
         self.net = net = with_end(net, plan)
         self.space: StateSpace = explore(
-            net, limit=limit, untimed=True, progress=progress, cancel=cancel
+            net, limit=limit, untimed=True, progress=progress, cancel=cancel, seconds=seconds
         )
         self._table = plan.policy.bind(plan.net)
         self._number = {p: plan.net.place_index[place.name] for p, place in enumerate(net.places)}
@@ -402,6 +406,15 @@ class PlanMarkings:
             states = states[~fires[states]]
             waits[states[self._answers.drawn(p, t, states)]] = True
         return waits
+
+    @property
+    def reached(self) -> Booleans:
+        """Boolean array: the states that firings that may happen lead to."""
+        return self._ways_with_losses.reached
+
+    def way_to(self, state: int) -> List[str]:
+        """A shortest firing sequence to one of these states, without losses if there is one."""
+        return self._finding(state).sequence
 
     # -- helpers -----------------------------------------------------------------------------------
 

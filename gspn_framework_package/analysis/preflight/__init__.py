@@ -4,6 +4,11 @@ Modules: ``check_plan``, ``markings``, ``names``, ``reacting``, ``report``, ``st
 ``while_running``.
 """
 
-from gspn_framework_package.analysis.preflight.check_plan import MARKING_LIMIT, ServerProbe, check
+from gspn_framework_package.analysis.preflight.check_plan import (
+    MARKING_LIMIT,
+    PROOF_SECONDS,
+    ServerProbe,
+    check,
+)
 
-__all__ = ["MARKING_LIMIT", "ServerProbe", "check"]
+__all__ = ["MARKING_LIMIT", "PROOF_SECONDS", "ServerProbe", "check"]

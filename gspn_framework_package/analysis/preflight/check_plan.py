@@ -22,7 +22,10 @@ if TYPE_CHECKING:
 MARKING_LIMIT = 200_000
 """Default limit on the markings visited by the check."""
 
-__all__ = ["MARKING_LIMIT", "ServerProbe", "check"]
+PROOF_SECONDS = 10.0
+"""Default budget for deciding by proofs what they leave open (s)."""
+
+__all__ = ["MARKING_LIMIT", "PROOF_SECONDS", "ServerProbe", "check"]
 
 
 def check(
@@ -33,7 +36,7 @@ def check(
     standalone: bool = False,
     progress: Optional[Progress] = None,
     cancel: Optional[Cancel] = None,
-    prove: bool = True,
+    seconds: float = PROOF_SECONDS,
 ) -> PreflightReport:
     """Check a plan before it runs.
 
@@ -42,7 +45,7 @@ def check(
     :param standalone: the tokens are agents, which a net may create and destroy, not robots.
     :param progress: receives the number of markings at intervals.
     :param cancel: called at intervals; returns whether to stop.
-    :param prove: whether to prove what the markings leave open, which may take seconds.
+    :param seconds: the budget (s) for deciding what the markings leave open by proofs; 0 for none.
     :raises PlanError: the plan is invalid: a name does not exist, or a rule is invalid.
     :raises PolicyError: the policy is invalid in the same way.
     :raises CancelledError: ``cancel`` returned true.
@@ -74,7 +77,7 @@ def check(
         # most plans do not need it, nor the exploration that it imports
         from gspn_framework_package.analysis.preflight.markings import MarkingChecks
 
-        by_marking = MarkingChecks(by_structure, checklist, limit, progress, cancel, prove)
+        by_marking = MarkingChecks(by_structure, checklist, limit, progress, cancel, seconds)
         markings = by_marking.look_at_markings()
     if server_probe is not None:
         by_name.look_at_servers(server_probe)

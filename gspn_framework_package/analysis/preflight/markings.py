@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import time
 from dataclasses import replace
-from typing import Any, Dict, Iterable, List, Optional, Sequence
+from typing import TYPE_CHECKING, Any, Dict, Iterable, List, Optional, Sequence
 
 import numpy as np
 
@@ -27,8 +28,13 @@ from gspn_framework_package.analysis.state_space.rated_graph import enabled_in, 
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.model.errors import LimitError, NetError
 
-PROOF_SECONDS = 5.0
-"""Longest time that a proof may take (s)."""
+if TYPE_CHECKING:
+    from gspn_framework_package.analysis.proofs.ladder import Answer
+
+BY_PROOF = "state equation"
+"""How questions were decided without visiting markings: also its invariants follow from it."""
+
+DEAD_MARKING = "dead marking: nothing can happen"
 
 TREE_NODES = 5_000
 """Largest number of nodes of the coverability tree that shows which places grow."""
@@ -39,7 +45,7 @@ class MarkingChecks:
 
     :param structure: the structural checks, with the questions that they left open.
     :param limit: largest number of markings to visit.
-    :param prove: whether to prove what they leave open.
+    :param seconds: the budget for deciding what they leave open (s); 0 leaves it open.
     """
 
     def __init__(
@@ -49,7 +55,7 @@ class MarkingChecks:
         limit: int,
         progress: Optional[Progress],
         cancel: Optional[Cancel],
-        prove: bool,
+        seconds: float,
     ) -> None:
         self.plan = structure.plan
         self.net = structure.net
@@ -57,7 +63,7 @@ class MarkingChecks:
         self.progress, self.cancel = progress, cancel
         self._structure = structure
         self._list = checklist
-        self._prove = prove
+        self._seconds = seconds
 
     def look_at_markings(self) -> PlanMarkings:
         """Visit markings, answer the open questions, and return the markings."""
@@ -74,8 +80,8 @@ class MarkingChecks:
                     "teams that lost a robot were not checked: more than %d markings" % self.limit,
                 )
         left = list(self._structure.open)
-        if not markings.complete and "dead_markings" in left and self._proven_alive(markings):
-            left.remove("dead_markings")
+        if not markings.complete and self._seconds > 0:
+            left = self._not_decided_otherwise(left, markings)
         if not markings.complete and left:
             self._list.add(
                 "exploration",
@@ -115,31 +121,76 @@ class MarkingChecks:
             and not self._structure.standalone
         )
 
-    def _proven_alive(self, markings: PlanMarkings) -> bool:
-        """Whether it is proven, and reported, that no dead marking is reachable, of which the
-        visited markings have none."""
-        if not self._prove or next(markings.dead(after_losses=False), None) is not None:
-            return False
-        # few plans need it, nor the solver that it imports
-        from gspn_framework_package.analysis.proofs.dead_markings import plan_never_dead
-        from gspn_framework_package.analysis.proofs.program import solver_available
+    def _not_decided_otherwise(self, left: List[str], markings: PlanMarkings) -> List[str]:
+        """The questions of ``left`` that are open even if they are put to proofs and to guided
+        searches for witnesses, since the markings visited leave them open."""
+        # few plans need them, nor the solver that they import
+        from gspn_framework_package.analysis.proofs.questions import DEAD, NO_ROW
 
-        if not solver_available():
+        end = time.monotonic() + self._seconds
+        decided = set()
+        if "dead_markings" in left and next(markings.dead(after_losses=False), None) is None:
+            for answer in self._answers(DEAD, end):
+                if self._report_dead(answer):
+                    decided.add("dead_markings")
+        silent = itertools.chain(markings.policy_gaps(), markings.undecided_choices())
+        if "policy" in left and next(silent, None) is None:
+            for answer in self._answers(NO_ROW, end):
+                if answer.certificate is not None:
+                    decided.add("policy")
+                    self._list.add(
+                        "policy",
+                        Severity.OK,
+                        "the policy has a row for every marking that needs a decision%s"
+                        % self._as_long_as(answer),
+                        decided_by=BY_PROOF,
+                        losses=answer.question.losses,
+                    )
+        return [question for question in left if question not in decided]
+
+    def _answers(self, kind: str, end: float) -> List[Answer]:
+        """The answers to a question about the plan, also with the losses of robots."""
+        from gspn_framework_package.analysis.proofs.ladder import (
+            decide_question,
+            decide_with_losses,
+        )
+        from gspn_framework_package.analysis.proofs.questions import MarkingQuestion
+
+        more: Dict[str, Any] = {
+            "seconds": max(end - time.monotonic(), 0.1),
+            "limit": 0,
+            "progress": self.progress,
+            "cancel": self.cancel,
+        }
+        if self._robots_can_be_lost():
+            return decide_with_losses(self.plan, MarkingQuestion(kind), **more)
+        return [decide_question(self.plan, MarkingQuestion(kind), **more)]
+
+    def _as_long_as(self, answer: Answer) -> str:
+        lost = answer.question.losses or not self._robots_can_be_lost()
+        return "" if lost else " as long as no robot is lost"
+
+    def _report_dead(self, answer: Answer) -> bool:
+        """Report whether a dead marking can be reached; return whether this decides it for the
+        whole team."""
+        if answer.sequence is None and answer.certificate is None:
             return False
-        losses = self._robots_can_be_lost()
-        for lost in (True, False) if losses else (False,):
-            if plan_never_dead(self.plan, PROOF_SECONDS, losses=lost, cancel=self.cancel):
-                of = "" if lost or not losses else " as long as no robot is lost"
-                self._list.add(
-                    "dead_markings",
-                    Severity.OK,
-                    "no dead marking can be reached%s: the state equation has no solution in which "
-                    "nothing can happen" % of,
-                    decided_by="state equation",
-                    losses=lost,
-                )
-                return True
-        return False
+        if answer.sequence is None:
+            self._list.add(
+                "dead_markings",
+                Severity.OK,
+                "no dead marking can be reached%s: the state equation has no solution in which "
+                "nothing can happen" % self._as_long_as(answer),
+                decided_by=BY_PROOF,
+                losses=answer.question.losses,
+            )
+            return True
+        finding = Finding(answer.marking or {}, list(answer.sequence))
+        if any(name not in self.net.transition_index for name in answer.sequence):
+            self._report_after_loss([finding])
+            return False
+        self._report_findings("dead_markings", Severity.WARNING, [finding], DEAD_MARKING)
+        return True
 
     def _visit(self, losses: bool) -> PlanMarkings:
         return PlanMarkings(
@@ -313,9 +364,20 @@ class MarkingChecks:
             "dead_markings",
             Severity.WARNING,
             [finding for finding in found if finding.sequence],
-            "dead marking: nothing can happen",
+            DEAD_MARKING,
         )
-        lost = list(markings.dead(after_losses=True))
+        self._report_after_loss(list(markings.dead(after_losses=True)))
+        if not found and markings.complete:
+            self._list.add(
+                "dead_markings",
+                Severity.OK,
+                "no dead marking is reachable",
+                decided_by="exploration",
+            )
+        elif not found:
+            self._undecided(markings, "dead_markings", "whether a dead marking can be reached")
+
+    def _report_after_loss(self, lost: Sequence[Finding]) -> None:
         if lost:
             more = " (and in %d other markings)" % (len(lost) - 1) if len(lost) > 1 else ""
             self._list.add(
@@ -327,15 +389,6 @@ class MarkingChecks:
                 count=len(lost),
                 others=[finding.to_json() for finding in lost[1:LISTED]],
             )
-        if not found and markings.complete:
-            self._list.add(
-                "dead_markings",
-                Severity.OK,
-                "no dead marking is reachable",
-                decided_by="exploration",
-            )
-        elif not found:
-            self._undecided(markings, "dead_markings", "whether a dead marking can be reached")
 
     def _decide_policy(self, markings: PlanMarkings) -> None:
         severity = Severity.REFUSED if self.plan.strict else Severity.WARNING

@@ -45,10 +45,10 @@ def report_soon(
             standalone=standalone,
             limit=CHECK_MARKINGS,
             cancel=lambda: clock() > deadline,
-            prove=False,
+            seconds=0,
         )
     except CancelledError:
-        return check(plan, standalone=standalone, limit=MARKINGS_AT_LAST, prove=False)
+        return check(plan, standalone=standalone, limit=MARKINGS_AT_LAST, seconds=0)
 
 
 def why_refused(plan: Plan, standalone: bool = False) -> str:

@@ -1,4 +1,6 @@
-"""Proofs about all markings that a net can reach, without visiting them, by the state equation.
+"""Questions about all markings that a net or a plan can reach, decided without visiting them all.
 
-Modules: ``dead_markings``, ``program``.
+Modules: ``ladder`` (decides a question, step by step), ``questions`` (what is asked, as facts about
+markings), ``prover`` and ``witness`` (search for proofs, and for firings that lead to a marking),
+``checker`` (checks proofs, and needs neither NumPy nor a solver).
 """

@@ -86,12 +86,12 @@ def findings(
         return time.monotonic() > end
 
     try:
-        report = check_all(plan, limit=limit, standalone=standalone, cancel=over, prove=False)
+        report = check_all(plan, limit=limit, standalone=standalone, cancel=over, seconds=0)
     except CancelledError:
         if cancel():
             raise
         least = min(limit, STATES_AT_LAST)
-        report = check_all(plan, limit=least, standalone=standalone, prove=False)
+        report = check_all(plan, limit=least, standalone=standalone, seconds=0)
     found = [_finding("note", note, nodes.named_in(note)) for note in plan.notes]
     found += [*_loose(nodes), *_as_far_as_drawn(_of_report(report, plan, nodes), plan, nodes)]
     order = ["error", "warning", "note"]

@@ -1,24 +1,48 @@
-"""Proofs by the state equation that nothing gets stuck: never wrong, and found where it matters."""
+"""Proofs without visiting markings, and witnesses: never wrong, and found where it matters."""
 
+import copy
 import json
+import random
+import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 
 import pytest
-from generated_nets import bounded_nets, reference_space
+from asked_markings import SHAPES, can_be_reached, questions_about
+from generated_nets import bounded_nets
 from generated_plans import small_plans, with_events
 from hypothesis import given, settings
 
 from gspn_framework_package.analysis.plan.markings import PlanMarkings
 from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.analysis.preflight.report import Severity
-from gspn_framework_package.analysis.proofs import dead_markings, program
-from gspn_framework_package.analysis.proofs.dead_markings import never_dead, plan_never_dead
-from gspn_framework_package.analysis.proofs.program import MarkingProgram, solver_available
+from gspn_framework_package.analysis.proofs import prover, questions, witness
+from gspn_framework_package.analysis.proofs.checker import (
+    ProofError,
+    check_certificate,
+    fulfils,
+    played_to,
+)
+from gspn_framework_package.analysis.proofs.ladder import (
+    NOT_DECIDED,
+    PROVEN,
+    VIOLATED,
+    decide_question,
+)
+from gspn_framework_package.analysis.proofs.prover import solver_available
+from gspn_framework_package.analysis.proofs.questions import (
+    DEAD,
+    NEVER,
+    MarkingQuestion,
+    formula_of,
+    problem_of,
+)
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.making.site_plan import build_site_plan
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.errors import CancelledError, LimitError
 from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.model.policy import Policy, PolicyRow
@@ -26,24 +50,65 @@ from gspn_framework_package.model.policy import Policy, PolicyRow
 PLANS = Path(__file__).parents[3] / "plans"
 
 pytestmark = pytest.mark.skipif(
-    not solver_available(), reason="this SciPy has no solver of mixed-integer programs"
+    not solver_available(), reason="this SciPy has no solver for the state equation"
 )
 
 
-def test_what_is_proven_of_nets_holds():
+def never_dead(subject, losses=False, **more):
+    """Whether it is proven, without visiting markings, that nothing gets stuck."""
+    answer = decide_question(subject, MarkingQuestion(DEAD, losses=losses), limit=0, **more)
+    return answer.verdict == PROVEN
+
+
+@pytest.mark.parametrize(
+    "subjects, number",
+    [
+        (bounded_nets(), 120),
+        (bounded_nets(max_places=8, max_transitions=12, max_tokens=5), 60),
+        (small_plans(), 90),
+        (with_events(small_plans()), 60),
+    ],
+    ids=["nets", "larger nets", "plans", "events"],
+)
+def test_answers_are_those_of_visiting_all_markings(subjects, number, monkeypatch):
+    """Each answer may visit one marking: the rest is proofs and short guided searches."""
+    for name, most in (("FIRST_MARKINGS", 100), ("MOST_SEARCHED", 300), ("MOST_WALKS", 2)):
+        monkeypatch.setattr(witness, name, most)
+    monkeypatch.setattr(witness, "LONGEST_WALK", 100)
     count = Counter()
 
-    @settings(derandomize=True, max_examples=150)
-    @given(bounded_nets())
-    def ask(net):
-        alive = all(reference_space(net).values())
-        proven = never_dead(net, 10.0)
-        assert alive or not proven
-        count[alive, proven] += 1
+    @settings(derandomize=True, max_examples=number, deadline=None)
+    @given(subjects)
+    def ask(subject):
+        for question in questions_about(subject, sum(count.values())):
+            expected = can_be_reached(subject, question)
+            answer = decide_question(subject, question, limit=1, seconds=60.0)
+            problem = problem_of(subject, question)
+            count[answer.verdict] += 1
+            if answer.verdict == PROVEN:
+                assert expected in (False, None), (question, answer)
+                check_certificate(problem, json.loads(json.dumps(answer.certificate)))
+            elif answer.verdict == VIOLATED:
+                assert expected in (True, None), (question, answer)
+                assert problem.is_bad(played_to(problem, answer.sequence))
 
     ask()
-    assert count[True, True] > count[True, False] > 0, "it proves most, but is not complete"
-    assert count[False, False] > 10
+    assert count[PROVEN] > number and count[VIOLATED] > number
+    assert count[NOT_DECIDED] < sum(count.values()) / 4
+
+
+@pytest.mark.parametrize("subjects", [bounded_nets(), small_plans()], ids=["nets", "plans"])
+def test_with_exploration_everything_small_is_decided(subjects):
+    @settings(derandomize=True, max_examples=40, deadline=None)
+    @given(subjects)
+    def ask(subject):
+        for question in questions_about(subject, 3):
+            expected = can_be_reached(subject, question)
+            answer = decide_question(subject, question, limit=2_000)
+            if expected is not None:
+                assert answer.verdict == (VIOLATED if expected else PROVEN), (question, answer)
+
+    ask()
 
 
 UNKNOWN = "unknown"
@@ -56,30 +121,12 @@ def stuck(plan, losses):
     return found[0] if found else None if markings.complete else UNKNOWN
 
 
-@pytest.mark.parametrize("losses", [False, True])
-@pytest.mark.parametrize("plans", [small_plans(), with_events(small_plans())], ids=["", "events"])
-def test_what_is_proven_of_plans_holds(plans, losses):
-    count = Counter()
-
-    @settings(derandomize=True, max_examples=100)
-    @given(plans)
-    def ask(plan):
-        found = stuck(plan, losses)
-        proven = plan_never_dead(plan, 10.0, losses=losses)
-        assert found in (None, UNKNOWN) or not proven
-        if found != UNKNOWN:
-            count[found is None, proven] += 1
-
-    ask()
-    assert count[True, True] > 2 * count[True, False] and count[False, False] > 10, count
-
-
 @pytest.mark.parametrize("name", sorted(p.name for p in PLANS.iterdir() if p.is_dir()))
 def test_the_example_plans_are_proven_never_to_get_stuck(name):
     plan = read_plan(str(PLANS / name))
-    assert plan_never_dead(plan, 10.0, losses=False)
+    assert never_dead(plan)
     waits_for_the_lost = stuck(plan, True) not in (None, UNKNOWN)
-    assert plan_never_dead(plan, 10.0, losses=True) is not waits_for_the_lost
+    assert never_dead(plan, True) is not waits_for_the_lost
 
 
 def site(folder, **more):
@@ -112,7 +159,7 @@ def test_a_plan_of_a_map_is_proven_but_not_if_robots_can_meet_head_on(tmp_path):
     assert not report.of("exploration")
     (tmp_path / "narrow").mkdir()
     narrow = site(tmp_path / "narrow", node_capacity=1)
-    assert not plan_never_dead(narrow, 10.0, losses=False)
+    assert not never_dead(narrow)
 
 
 WAIT = ()
@@ -151,7 +198,7 @@ def test_a_robot_moves_only_by_the_row_that_takes_precedence(rows, proven):
         policy=Policy(["door", "key"], [PolicyRow(*row) for row in rows]),
         strict=True,
     ).validate()
-    assert plan_never_dead(plan, 10.0, losses=False) is proven
+    assert never_dead(plan) is proven
     assert (stuck(plan, False) is None) is proven
 
 
@@ -173,8 +220,8 @@ def lanes(first="lane_a", second="lane_b"):
 
 
 def test_robots_that_wait_for_each_other_are_not_proven_away():
-    assert never_dead(lanes(), 10.0)
-    assert not never_dead(lanes("lane_b", "lane_a"), 10.0)
+    assert never_dead(lanes())
+    assert not never_dead(lanes("lane_b", "lane_a"))
 
 
 def trapped():
@@ -192,23 +239,26 @@ def trapped():
 
 def test_a_marked_trap_excludes_what_the_state_equation_allows(monkeypatch):
     net = trapped()
-    assert never_dead(net, 10.0)
-    monkeypatch.setattr(dead_markings, "largest_trap", lambda *given, **more: ())
-    assert not never_dead(net, 10.0)
+    assert never_dead(net)
+    monkeypatch.setattr(prover, "largest_trap", lambda *given, **more: ())
+    assert not never_dead(net)
 
 
 def test_what_is_too_large_stays_open(monkeypatch):
-    net = lanes()
-    monkeypatch.setattr(program, "LARGEST_PROGRAM", 5)
-    assert not never_dead(net, 10.0)
+    plan = read_plan(str(PLANS / "inspection"))
+    monkeypatch.setattr(questions, "MOST_PROOF_ROWS", 5)
+    (step,) = decide_question(plan, MarkingQuestion(DEAD)).steps
+    assert "the policy is too large" in step.outcome
     huge = NetBuilder("huge").place("a", tokens=10**9).exponential("go", inputs="a", outputs="a")
-    with pytest.raises(LimitError):
-        MarkingProgram(huge.build(), [])
+    assert never_dead(huge.build())
 
 
-def test_a_proof_can_be_cancelled():
+def test_a_proof_can_be_cancelled_and_runs_out_of_time():
     with pytest.raises(CancelledError):
-        never_dead(lanes(), 10.0, cancel=lambda: True)
+        decide_question(lanes(), MarkingQuestion(DEAD), cancel=lambda: True)
+    answer = decide_question(lanes(), MarkingQuestion(DEAD), seconds=0)
+    assert answer.verdict == NOT_DECIDED and not answer.decided_by
+    assert "not decided within" in answer.steps[0].outcome
 
 
 def test_the_check_proves_what_its_markings_leave_open(monkeypatch):
@@ -218,7 +268,213 @@ def test_the_check_proves_what_its_markings_leave_open(monkeypatch):
     assert [i.severity for i in whole] == [item.severity] == [Severity.OK]
     assert item.details["decided_by"] == "state equation"
     assert "no dead marking can be reached" in item.text
-    (open_item,) = check(plan, limit=20, prove=False).of("dead_markings")
+    (open_item,) = check(plan, limit=20, seconds=0).of("dead_markings")
     assert open_item.details["undecided"] and "was not decided within" in open_item.text
-    monkeypatch.setattr(program, "solver_available", lambda: False)
-    assert check(plan, limit=20).of("dead_markings") == (open_item,)
+
+
+def test_without_the_solver_the_ladder_is_shorter_and_says_so(monkeypatch):
+    monkeypatch.setattr(prover, "solver_available", lambda: False)
+    assert never_dead(read_plan(str(PLANS / "inspection"))), "invariants are enough"
+    plan = read_plan(str(PLANS / "fork_join"))
+    answer = decide_question(plan, MarkingQuestion(DEAD), limit=0)
+    assert answer.verdict == NOT_DECIDED
+    assert "needs SciPy 1.7" in answer.steps[0].outcome
+    assert decide_question(plan, MarkingQuestion(DEAD)).decided_by == "exploration"
+
+
+# -- witnesses -------------------------------------------------------------------------------------
+
+
+def test_a_witness_is_found_far_beyond_the_markings_that_can_be_visited(tmp_path):
+    """Robots of a narrow site wait for each other for ever."""
+    plan = site(tmp_path, node_capacity=1)
+    report = check(plan, limit=100)
+    (item,) = report.of("dead_markings")
+    assert item.severity is Severity.WARNING and "dead marking" in item.text
+    problem = problem_of(plan, MarkingQuestion(DEAD))
+    marking = played_to(problem, item.details["sequence"])
+    assert not any(problem.fires(marking))
+
+
+def test_who_can_only_be_stuck_after_a_loss_is_told_so():
+    plan = read_plan(str(PLANS / "rendezvous"))
+    report = check(plan, limit=1)
+    (item,) = report.of("dead_markings")
+    assert item.severity is Severity.OK and "as long as no robot is lost" in item.text
+    (lost,) = report.of("dead_after_loss")
+    assert any(name.startswith("(robot lost in") for name in lost.details["sequence"])
+
+
+# -- conditions ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("text", [*SHAPES[:-1], "0.25 * (%(a)s + 1) - %(b)s < -%(m)d", "true"])
+def test_a_condition_means_the_same_as_inequalities(text):
+    draw = random.Random(1)
+    condition = parse_condition(text % {"a": "a", "b": "b", "m": 2, "n": 1}, ["a", "b"])
+    formula = formula_of(condition)
+    for _ in range(200):
+        marking = draw.randint(0, 5), draw.randint(0, 5)
+        assert fulfils(formula, marking) == condition.holds(marking), marking
+
+
+@pytest.mark.parametrize("text", ["a * b > 1", "min(a, b) > 1", "a / 3 > 1", "0.1 * a > 1"])
+def test_what_is_not_linear_is_left_to_exploration(text):
+    with pytest.raises(LimitError):
+        formula_of(parse_condition(text, ["a", "b"]))
+    answer = decide_question(trapped(), MarkingQuestion(NEVER, text), limit=50)
+    assert answer.steps[0].outcome == "the condition is not linear"
+
+
+# -- certificates ----------------------------------------------------------------------------------
+
+
+def proof(subject, question):
+    """A problem and the certificate that what it asks for cannot be reached."""
+    answer = decide_question(subject, question, limit=0)
+    assert answer.verdict == PROVEN
+    return problem_of(subject, question), json.loads(json.dumps(answer.certificate))
+
+
+def numbers_in(value, path=()):
+    """The paths of all whole numbers in a certificate."""
+    if isinstance(value, dict):
+        for key in value:
+            yield from numbers_in(value[key], (*path, key))
+    elif isinstance(value, list):
+        for key, item in enumerate(value):
+            yield from numbers_in(item, (*path, key))
+    elif type(value) is int:
+        yield path
+
+
+def put(value, path, new):
+    """The certificate with another value at a path."""
+    changed = copy.deepcopy(value)
+    part = changed
+    for key in path[:-1]:
+        part = part[key]
+    part[path[-1]] = new
+    return changed
+
+
+def wide():
+    """A net whose proofs take lemmas, steps, cases and sums: two robots share a key and two
+    rooms."""
+    builder = NetBuilder("wide").place("key", tokens=1).place("log")
+    for robot in "xy":
+        builder.place(robot + "_out", tokens=1).place(robot + "_in").place(robot + "_at_work")
+        builder.exponential(robot + "_take", inputs=[robot + "_out", "key"], outputs=robot + "_in")
+        builder.exponential(robot + "_do", inputs=robot + "_in", outputs=robot + "_at_work")
+        builder.exponential(
+            robot + "_give",
+            inputs=robot + "_at_work",
+            outputs=[robot + "_out", "key", "log"],
+        )
+    return builder.build()
+
+
+BAD = "x_in + y_in + x_at_work + y_at_work >= 2 or x_out + x_in >= 2"
+
+FORGED = {
+    "no lemmas": lambda c: {**c, "lemmas": []},
+    "no tree": lambda c: {"lemmas": c["lemmas"]},
+    "an empty tree": lambda c: {**c, "tree": []},
+    "an empty node": lambda c: {**c, "tree": [{}]},
+    "an end without reason": lambda c: with_tree(c, end=[]),
+    "a reason that is a number": lambda c: with_tree(c, end=3),
+    "a fact that is not there": lambda c: with_tree(c, end=[[1, 999, 0]]),
+    "a negative multiple": lambda c: with_tree(c, end=[[-1, 0, 0], [1, 1, 0]]),
+    "a fraction of a fact": lambda c: with_tree(c, end=[[0.5, 0, 0]] * 2),
+    "a fact that may hold": lambda c: with_tree(c, end=[[1, len(c["lemmas"]), 0]]),
+    "a lemma that fails at the start": lambda c: with_lemma(c, {"key": 1}, 2),
+    "a lemma that fails later": lambda c: with_lemma(c, {"key": 1}, 1),
+    "a lemma of half tokens": lambda c: with_lemma(c, {"key": 0.5}, 0),
+    "a lemma of no place": lambda c: with_lemma(c, {"nowhere": 1}, 0),
+    "a lemma that bounds what grows": lambda c: with_lemma(c, {"log": -1}, -5),
+    "steps for a lemma that prove nothing": lambda c: with_lemma(
+        c, {"key": 1}, 1, x_take=[{"steps": [], "end": [[1, 0, 0]]}]
+    ),
+    "steps of a transition that is not there": lambda c: with_lemma(
+        c, {"key": 1}, 0, nobody=[{"steps": [], "end": [[1, 0, 0]]}]
+    ),
+    "a step without reason": lambda c: with_tree(c, [[0, False, 0, []]], end=[[1, 0, 0]]),
+    "a step of no place": lambda c: with_tree(c, [[99, False, 0, [[1, 0, 0]]]], end=[[1, 0, 0]]),
+    "half a token": lambda c: with_tree(c, [[0, False, 0.5, [[1, 0, 0]]]], end=[[1, 0, 0]]),
+    "one case of two": lambda c: with_tree(c, cases=[0, 0, 1]),
+    "a gap between the cases": lambda c: with_tree(c, cases=[0, 0.5, 1, 1]),
+    "a node that refers to itself": lambda c: with_tree(c, cases=[0, 0, 0, 0]),
+    "no markings": lambda c: {"markings": 0},
+    "too few markings": lambda c: {"markings": 5},
+    "markings of another net": lambda c: {"markings": 600},
+    "too many markings to visit": lambda c: {"markings": 10**12},
+    "a list": lambda c: [c],
+    "nothing": lambda c: None,
+}
+
+
+def with_lemma(certificate, weights, least, **steps):
+    lemma = {"some": [[weights, least]], "steps": steps}
+    return {**certificate, "lemmas": [*certificate["lemmas"], lemma]}
+
+
+def with_tree(certificate, steps=(), **last):
+    """The certificate with another root before its nodes."""
+    return {**certificate, "tree": [{"steps": steps, **last}, *certificate["tree"]]}
+
+
+@pytest.mark.parametrize("name", FORGED)
+def test_a_forged_certificate_is_refused(name):
+    problem, certificate = proof(wide(), MarkingQuestion(NEVER, BAD))
+    check_certificate(problem, certificate)
+    with pytest.raises(ProofError):
+        check_certificate(problem, FORGED[name](certificate))
+
+
+def test_a_certificate_of_something_else_is_refused():
+    _, certificate = proof(wide(), MarkingQuestion(NEVER, BAD))
+    for other in ("x_in + y_in >= 1", "log >= 3", "x_out + x_in >= 1"):
+        with pytest.raises(ProofError):
+            check_certificate(problem_of(wide(), MarkingQuestion(NEVER, other)), certificate)
+
+
+def test_changed_numbers_prove_nothing_that_is_not_so():
+    """Of what can be reached, no certificate is accepted, whatever numbers stand in it."""
+    _, certificate = proof(wide(), MarkingQuestion(NEVER, BAD))
+    reachable = problem_of(
+        wide(), MarkingQuestion(NEVER, "x_in + y_in + x_at_work + y_at_work >= 1")
+    )
+    draw = random.Random(7)
+    paths = list(numbers_in(certificate))
+    assert len(paths) > 30
+    for _ in range(2_000):
+        forged = certificate
+        for path in draw.sample(paths, draw.randint(1, 3)):
+            forged = put(forged, path, draw.choice([-2, -1, 0, 1, 2, 3, 10**400]))
+        with pytest.raises(ProofError):
+            check_certificate(reachable, forged)
+
+
+def test_a_witness_that_does_not_play_is_refused():
+    problem = problem_of(wide(), MarkingQuestion(NEVER, "log >= 1"))
+    good = ["x_take", "x_do", "x_give"]
+    played_to(problem, good)
+    for bad in (good[:2], ["x_do"], ["x_take", "y_take"], ["nobody"], []):
+        with pytest.raises(ProofError):
+            played_to(problem, bad)
+
+
+def test_the_checker_imports_no_solver():
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "import sys, gspn_framework_package.analysis.proofs.checker, "
+            "gspn_framework_package.analysis.proofs.questions, gspn_framework_package.cli.verify; "
+            "print([name for name in ('numpy', 'scipy', 'z3') if name in sys.modules])",
+        ],
+        check=True,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert done.stdout == "[]\n"

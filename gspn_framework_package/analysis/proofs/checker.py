@@ -1,0 +1,363 @@
+"""Checks proofs about all markings that a net can reach, in exact arithmetic.
+
+A question asks for a reachable marking that fulfils some *facts*. A proof that there is none has
+two parts. First come *lemmas*, which hold in every reachable marking: at the start, and after every
+firing if before it. Then a *tree* shows that no marking fulfils lemmas and facts. Each of its nodes
+narrows the counts that places may have, until one fact, or a weighted sum of several, cannot hold
+any more. Neither part is searched for here, and nothing of a solver is believed.
+
+Facts and lemmas are linear inequalities (:class:`Atom`) joined by :class:`All` and :class:`Some`.
+Counts are whole numbers, so the opposite of ``sum >= n`` is ``-sum >= 1 - n``.
+
+This module needs neither NumPy nor a solver. It reads untrusted files: whatever does not fit is a
+:class:`ProofError`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Sequence, Set, Tuple, Union
+
+from gspn_framework_package.model.errors import GspnError
+from gspn_framework_package.model.net import Marking, Net
+
+
+class ProofError(GspnError):
+    """A certificate proves nothing; the message says where it fails."""
+
+
+class Atom(NamedTuple):
+    """The sum of weight times count over ``terms`` (pairs of place number and weight) is at least
+    ``least``. All numbers are whole."""
+
+    terms: Tuple[Tuple[int, int], ...]
+    least: int
+
+
+class All(NamedTuple):
+    """All of ``parts`` hold."""
+
+    parts: Tuple[Any, ...]
+
+
+class Some(NamedTuple):
+    """One of ``parts`` holds, or more."""
+
+    parts: Tuple[Any, ...]
+
+
+Formula = Union[Atom, All, Some]
+Count = Union[int, float]
+"""A number of tokens; infinity is the only one that is not an integer."""
+
+TRUE, FALSE = All(()), Some(())
+
+MOST_VISITED = 1_000_000
+"""Most markings that the checker visits."""
+
+
+class Problem(NamedTuple):
+    """A question about a net: is there a reachable marking that is *bad*?
+
+    :ivar net: the net.
+    :ivar transitions: the numbers of the transitions that may fire.
+    :ivar facts: what every bad marking fulfils.
+    :ivar is_bad: whether a marking is.
+    :ivar fires: the transitions that may fire in a marking: fewer than the net enables, where
+        priorities or a policy decide.
+    """
+
+    net: Net
+    transitions: Tuple[int, ...]
+    facts: Tuple[Formula, ...]
+    is_bad: Callable[[Marking], bool]
+    fires: Callable[[Marking], Iterable[int]]
+
+
+class CountBox:
+    """The markings in which each place has at least ``low`` and at most ``high`` tokens."""
+
+    def __init__(self, low: List[int], high: List[Count], empty: bool = False) -> None:
+        self.low, self.high, self.empty = low, high, empty
+
+    @classmethod
+    def of(cls, net: Net) -> CountBox:
+        """Every marking of the net, capacities aside."""
+        return cls([0] * len(net.places), [math.inf] * len(net.places))
+
+    def copy(self) -> CountBox:
+        """A copy."""
+        return CountBox(self.low[:], self.high[:], self.empty)
+
+    def narrow(self, p: int, is_low: bool, count: int) -> None:
+        """Keep the markings in which place number ``p`` has at least (or most) ``count``."""
+        if type(count) is not int or not 0 <= p < len(self.low):
+            raise ValueError("%r tokens in place %r" % (count, p))
+        if is_low:
+            self.low[p] = max(self.low[p], count)
+        else:
+            self.high[p] = min(self.high[p], count)
+        self.empty = self.empty or self.low[p] > self.high[p]
+
+    def largest(self, terms: Iterable[Tuple[int, int]]) -> Count:
+        """The largest value of a weighted sum."""
+        total: Count = 0
+        for p, weight in terms:
+            total += weight * (self.high[p] if weight > 0 else self.low[p])
+        return total
+
+    def allows(self, formula: Formula) -> bool:
+        """Whether the counts of single places leave it open that the formula holds. False is
+        certain."""
+        if isinstance(formula, Atom):
+            return self.largest(formula.terms) >= formula.least
+        if isinstance(formula, All):
+            return all(map(self.allows, formula.parts))
+        return any(map(self.allows, formula.parts))
+
+    def implied(self, formula: Formula) -> List[Atom]:
+        """Inequalities that hold wherever the formula does, in a fixed order: where only one part
+        of a disjunction is possible, that one."""
+        if isinstance(formula, Atom):
+            return [formula]
+        if isinstance(formula, All):
+            return [atom for part in formula.parts for atom in self.implied(part)]
+        open_parts = []
+        for part in formula.parts:
+            if self.allows(part):
+                open_parts.append(part)
+                if len(open_parts) > 1:
+                    return []
+        return self.implied(open_parts[0]) if open_parts else []
+
+
+def fulfils(formula: Formula, marking: Sequence[int]) -> bool:
+    """Whether the formula holds in a marking."""
+    if isinstance(formula, Atom):
+        return sum(weight * marking[p] for p, weight in formula.terms) >= formula.least
+    if isinstance(formula, All):
+        return all(fulfils(part, marking) for part in formula.parts)
+    return any(fulfils(part, marking) for part in formula.parts)
+
+
+def guard(net: Net, t: int) -> Tuple[Atom, ...]:
+    """What holds where transition number ``t`` is enabled, priorities aside."""
+    full = [
+        Atom(((p, -1),), change - capacity)
+        for p, change in net.effect(t)
+        for capacity in (net.places[p].capacity,)
+        if change > 0 and capacity is not None
+    ]
+    return (
+        *(Atom(((p, 1),), weight) for p, weight in net.inputs[t]),
+        *(Atom(((p, -1),), 1 - weight) for p, weight in net.inhibitors[t]),
+        *full,
+    )
+
+
+def opposite(formula: Formula) -> Formula:
+    """What holds exactly where the formula does not."""
+    if isinstance(formula, Atom):
+        return Atom(tuple((p, -weight) for p, weight in formula.terms), 1 - formula.least)
+    parts = tuple(opposite(part) for part in formula.parts)
+    return Some(parts) if isinstance(formula, All) else All(parts)
+
+
+def change(atom: Atom, effect: Dict[int, int]) -> int:
+    """How much a firing with this effect adds to the sum of the atom."""
+    return sum(weight * effect.get(p, 0) for p, weight in atom.terms)
+
+
+# -- lemmas ----------------------------------------------------------------------------------------
+
+
+def check_lemma(
+    problem: Problem, known: Sequence[Formula], lemma: Some, steps: Dict[int, Any]
+) -> None:
+    """Require that a disjunction of inequalities holds in every reachable marking.
+
+    :param known: lemmas that do.
+    :param steps: number of a transition -> the nodes of a tree that shows that the lemma holds
+        after it fires, for those of which it is not plain.
+    :raises ProofError: it is not shown.
+    """
+    net = problem.net
+    if not fulfils(lemma, net.initial_marking):
+        raise ProofError("a lemma does not hold at the start")
+    places = {p for atom in lemma.parts for p, _ in atom.terms}
+    near: Set[int] = set()
+    for p in places:
+        near.update(net.consumers[p], net.producers[p])
+    for t in near.intersection(problem.transitions):
+        effect = dict(net.effect(t))
+        if t not in steps and is_plainly_kept(net, lemma, t, effect):
+            continue
+        if t not in steps:
+            raise ProofError("a lemma may fail when %s fires" % net.transitions[t].name)
+        facts = [*known, lemma, *guard(net, t), *after(lemma, effect)]
+        check_tree(CountBox.of(net), facts, steps[t])
+
+
+def is_plainly_kept(net: Net, lemma: Some, t: int, effect: Dict[int, int]) -> bool:
+    """Whether no inequality of the lemma loses by the firing, or one of them holds after it
+    because of what the transition needs."""
+    changes = [change(atom, effect) for atom in lemma.parts]
+    if all(n >= 0 for n in changes):
+        return True
+    box = CountBox.of(net)
+    for need in guard(net, t):
+        ((p, sign),) = need.terms
+        box.narrow(p, sign > 0, sign * need.least)
+    return box.empty or any(
+        -box.largest((p, -weight) for p, weight in atom.terms) + n >= atom.least
+        for atom, n in zip(lemma.parts, changes)
+    )
+
+
+def after(lemma: Some, effect: Dict[int, int]) -> List[Formula]:
+    """What holds before a firing after which the lemma fails."""
+    return [opposite(Atom(atom.terms, atom.least - change(atom, effect))) for atom in lemma.parts]
+
+
+# -- trees -----------------------------------------------------------------------------------------
+
+
+def check_tree(box: CountBox, facts: Sequence[Formula], nodes: Any) -> None:
+    """Require that a tree shows that no marking of ``box`` fulfils all ``facts``.
+
+    The first of its ``nodes`` is the root. A node has ``steps``, each ``[place, is_low, count,
+    reason]``: the place has at least (or most) that count, and the reason says why it cannot have
+    less (or more). Then comes the reason of its ``end``, or its ``cases`` ``[place, count, node,
+    node]``: the place has at most that count, or more. The numbers of these nodes are above its
+    own.
+
+    :raises ProofError: it does not.
+    """
+    waiting = [(box, 0)]
+    while waiting:
+        outer, number = waiting.pop()
+        box = outer.copy()
+        try:
+            for p, is_low, count, reason in nodes[number]["steps"]:
+                rest = box.copy()
+                rest.narrow(p, not is_low, count - 1 if is_low else count + 1)
+                _check_reason(rest, facts, reason)
+                box.narrow(p, is_low, count)
+            if "cases" not in nodes[number]:
+                _check_reason(box, facts, nodes[number]["end"])
+                continue
+            p, count, below, above = nodes[number]["cases"]
+            if not number < below < above:
+                raise ProofError("the nodes of the proof are not a tree")
+            lower, upper = box.copy(), box.copy()
+            lower.narrow(p, False, count)
+            upper.narrow(p, True, count + 1)
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+            raise ProofError("a node of the proof cannot be read: %r" % error) from None
+        waiting += [(lower, below), (upper, above)]
+
+
+def _check_reason(box: CountBox, facts: Sequence[Formula], reason: Any) -> None:
+    """Require that no marking of ``box`` fulfils all ``facts``, for a reason: items ``[times, fact,
+    which]``. One item says that this fact cannot hold. Several say that the sum of inequalities
+    that facts imply cannot: each of them, ``which`` in the list of its fact, that many times.
+
+    :raises ProofError: it is none.
+    """
+    if box.empty or (len(reason) == 1 and not box.allows(facts[reason[0][1]])):
+        return
+    total: Dict[int, int] = {}
+    least = 0
+    for times, fact, which in reason:
+        if type(times) is not int or times < 0:
+            raise ProofError("an inequality is taken %r times" % (times,))
+        atom = box.implied(facts[fact])[which]
+        for p, weight in atom.terms:
+            total[p] = total.get(p, 0) + times * weight
+        least += times * atom.least
+    if box.largest((p, weight) for p, weight in total.items() if weight) >= least:
+        raise ProofError("a step of the proof does not follow")
+
+
+# -- certificates ----------------------------------------------------------------------------------
+
+
+def check_certificate(problem: Problem, certificate: Any) -> str:
+    """Require that a certificate shows that no reachable marking is bad.
+
+    It has ``lemmas`` and the nodes of a ``tree``, or the number of ``markings`` to be visited
+    again. A lemma has a list ``some`` of inequalities ``[{place: weight}, least]``, one of which
+    always holds, and perhaps ``steps``: transition -> nodes.
+
+    :returns: what was checked, for people.
+    :raises ProofError: it does not.
+    """
+    try:
+        if "markings" in certificate:
+            return _visit(problem, certificate["markings"])
+        known: List[Formula] = []
+        numbers = problem.net.transition_index
+        for written in certificate["lemmas"]:
+            atoms = tuple(_read_atom(problem.net, *each) for each in written["some"])
+            steps = {numbers[name]: tree for name, tree in written.get("steps", {}).items()}
+            check_lemma(problem, known, Some(atoms), steps)
+            known.append(Some(atoms))
+        check_tree(CountBox.of(problem.net), [*known, *problem.facts], certificate["tree"])
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        raise ProofError("the certificate cannot be read: %r" % error) from None
+    return "%d lemmas" % len(known)
+
+
+def _read_atom(net: Net, weights: Any, least: Any) -> Atom:
+    terms = tuple((net.place_index[name], weight) for name, weight in weights.items())
+    if any(type(n) is not int for n in (least, *(weight for _, weight in terms))):
+        raise ValueError("a number of a lemma is not whole")
+    return Atom(terms, least)
+
+
+def written_lemma(net: Net, lemma: Some) -> Dict[str, Any]:
+    """A lemma as plain JSON values."""
+    return {
+        "some": [
+            [{net.places[p].name: weight for p, weight in atom.terms}, atom.least]
+            for atom in lemma.parts
+        ]
+    }
+
+
+def _visit(problem: Problem, number: Any) -> str:
+    """Require that the net has exactly this number of reachable markings, none of them bad."""
+    if type(number) is not int or not 0 < number <= MOST_VISITED:
+        raise ProofError("%r markings cannot be visited" % (number,))
+    seen = {problem.net.initial_marking}
+    waiting = [problem.net.initial_marking]
+    while waiting:
+        marking = waiting.pop()
+        if problem.is_bad(marking):
+            raise ProofError("a bad marking can be reached")
+        for t in problem.fires(marking):
+            after_it = problem.net.fire(marking, t)
+            if after_it not in seen:
+                seen.add(after_it)
+                waiting.append(after_it)
+        if len(seen) > number:
+            break
+    if len(seen) != number:
+        raise ProofError("%d markings were expected, and there are others" % number)
+    return "%d markings visited" % number
+
+
+def played_to(problem: Problem, sequence: Sequence[str]) -> Marking:
+    """The marking that a firing sequence leads to.
+
+    :raises ProofError: a firing is not possible, or that marking is not bad.
+    """
+    marking = problem.net.initial_marking
+    for name in sequence:
+        t = problem.net.transition_index.get(name, -1)
+        if t not in problem.fires(marking):
+            raise ProofError("%s cannot fire" % name)
+        marking = problem.net.fire(marking, t)
+    if not problem.is_bad(marking):
+        raise ProofError("the firings do not lead to what they should show")
+    return marking

@@ -1,0 +1,293 @@
+"""Decides a question about all reachable markings of a net or a plan: the steps of a ladder, within
+one budget of time.
+
+1. *Structure*: invariants and bounds of places, by which the facts of the question exclude each
+   other.
+2. *State equation*: linear programs, and marked traps, exclude what is left, case by case.
+3. *Exploration* of few markings, which finds the shortest firings that lead to a bad one.
+4. *Guided search* for such firings, from a solution of the state equation.
+5. *Exploration* of as many markings as the limit and the time allow.
+
+The first step that decides ends it. What is *proven* has a certificate that
+:mod:`~gspn_framework_package.analysis.proofs.checker` has accepted, or the number of all markings.
+What is *violated* has firings that were played. Everything else is *not decided*.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple, Union
+
+import numpy as np
+
+from gspn_framework_package.analysis.arrays import Booleans
+from gspn_framework_package.analysis.plan.markings import PlanMarkings
+from gspn_framework_package.analysis.proofs.checker import (
+    All,
+    Atom,
+    Formula,
+    Problem,
+    ProofError,
+    check_certificate,
+    played_to,
+)
+from gspn_framework_package.analysis.proofs.prover import Candidate, Prover
+from gspn_framework_package.analysis.proofs.questions import MarkingQuestion, problem_of
+from gspn_framework_package.analysis.proofs.witness import realise
+from gspn_framework_package.analysis.state_space.space import StateSpace, explore
+from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
+from gspn_framework_package.model.errors import LimitError
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
+
+SECONDS = 10.0
+"""Default budget of a question (s)."""
+
+QUESTION_MARKINGS = 200_000
+"""Default limit on the markings that a question visits."""
+
+FEW_MARKINGS = 2_000
+"""Number of markings that are visited before the guided search."""
+
+PROVEN, VIOLATED, NOT_DECIDED = "proven", "violated", "not decided"
+
+
+class LadderStep(NamedTuple):
+    """What a step of the ladder found out: its ``name``, the ``outcome`` in words, and the time
+    that it took (s)."""
+
+    name: str
+    outcome: str
+    seconds: float
+
+
+class Answer(NamedTuple):
+    """The answer to a question.
+
+    :ivar verdict: PROVEN (no bad marking can be reached), VIOLATED or NOT_DECIDED.
+    :ivar steps: the steps that were taken; the last one decided, if any did.
+    :ivar certificate: the proof, as plain JSON values.
+    :ivar sequence: the firings that lead to a bad marking.
+    :ivar marking: that marking, without empty places.
+    """
+
+    question: MarkingQuestion
+    verdict: str
+    steps: Tuple[LadderStep, ...]
+    certificate: Optional[Dict[str, Any]] = None
+    sequence: Optional[Tuple[str, ...]] = None
+    marking: Optional[Dict[str, int]] = None
+
+    @property
+    def decided_by(self) -> str:
+        """The step that decided; "" if none did."""
+        return "" if self.verdict == NOT_DECIDED else self.steps[-1].name
+
+    def to_json(self) -> Dict[str, Any]:
+        """As plain JSON values."""
+        data = {
+            **self.question._asdict(),
+            "verdict": self.verdict,
+            "decided_by": self.decided_by,
+            "steps": [step._asdict() for step in self.steps],
+        }
+        if self.sequence is not None:
+            data.update(sequence=list(self.sequence), marking=self.marking)
+        return data
+
+
+def decide_question(
+    subject: Union[Net, Plan],
+    question: MarkingQuestion,
+    *,
+    seconds: float = SECONDS,
+    limit: int = QUESTION_MARKINGS,
+    progress: Optional[Progress] = None,
+    cancel: Optional[Cancel] = None,
+) -> Answer:
+    """Decide a question within a budget.
+
+    :param seconds: the budget of all steps together (s).
+    :param limit: the most markings to visit; 0 for no exploration.
+    :param progress: receives what is being counted, which says which step is at work.
+    :param cancel: called at intervals; returns whether to stop.
+    :raises CancelledError: ``cancel`` returned true.
+    :raises GspnError: see :func:`~gspn_framework_package.analysis.proofs.questions.problem_of`.
+    """
+    try:
+        problem = problem_of(subject, question)
+    except LimitError as error:
+        return Answer(question, NOT_DECIDED, (LadderStep("structure", str(error), 0.0),))
+    return _Ladder(subject, question, problem, seconds, limit, progress, cancel).climb()
+
+
+def decide_with_losses(
+    subject: Union[Net, Plan], question: MarkingQuestion, *, seconds: float = SECONDS, **more: Any
+) -> List[Answer]:
+    """Decide a question about a plan whose robots can be lost, for the whole team and, if that
+    proves it, with losses: one answer if it is the same for both, else that for the whole team
+    first.
+
+    :param seconds: the budget of both together (s).
+    :param more: see :func:`decide_question`.
+    """
+    end = time.monotonic() + seconds
+    whole = decide_question(subject, question, seconds=seconds, **more)
+    if whole.verdict != PROVEN:
+        return [whole]
+    question = question._replace(losses=True)
+    left = max(end - time.monotonic(), 0.0)
+    with_losses = decide_question(subject, question, seconds=left, **more)
+    return [with_losses] if with_losses.verdict == PROVEN else [whole, with_losses]
+
+
+class _Ladder:
+    def __init__(
+        self,
+        subject: Union[Net, Plan],
+        question: MarkingQuestion,
+        problem: Problem,
+        seconds: float,
+        limit: int,
+        progress: Optional[Progress],
+        cancel: Optional[Cancel],
+    ) -> None:
+        self._subject, self._question, self._problem = subject, question, problem
+        self._limit, self._progress, self._cancel = limit, progress, cancel
+        self._end = time.monotonic() + seconds
+        self._steps: List[LadderStep] = []
+        self._begun = time.monotonic()
+
+    def climb(self) -> Answer:
+        """Take the steps until one decides."""
+        if self._problem.is_bad(self._problem.net.initial_marking):
+            return self._violated("exploration", ())
+        found = self._prove()
+        if isinstance(found, Answer):
+            return found
+        few = min(self._limit, FEW_MARKINGS)
+        answer = self._explore(few) if few else None
+        if answer is None and found is not None:
+            answer = self._search(found)
+        if answer is None and few < self._limit:
+            answer = self._explore(self._limit)
+        return answer or Answer(self._question, NOT_DECIDED, tuple(self._steps))
+
+    def _watch(self) -> Watch:
+        left = max(self._end - time.monotonic(), 0.0)
+        return Watch(self._progress, self._cancel, seconds=left)
+
+    def _step(self, name: str, outcome: str) -> None:
+        now = time.monotonic()
+        self._steps.append(LadderStep(name, outcome, round(now - self._begun, 3)))
+        self._begun = now
+
+    def _prove(self) -> Union[Answer, Candidate, None]:
+        if not self._problem.facts:
+            self._step("structure", "the condition is not linear")
+            return None
+        prover = Prover(self._problem, self._watch())
+        try:
+            found = prover.prove()
+        except LimitError as error:
+            self._step(_name_of(prover), str(error))
+            return None
+        if isinstance(found, Candidate):
+            self._step(_name_of(prover), "it allows a marking that no trap excludes")
+            return found
+        try:
+            how = check_certificate(self._problem, found)
+        except ProofError as error:  # not expected
+            self._step(_name_of(prover), "its proof was not accepted: %s" % error)
+            return None
+        self._step(
+            _name_of(prover),
+            "%s, %d cases, %d linear programs" % (how, prover.cases, prover.programs),
+        )
+        return Answer(self._question, PROVEN, tuple(self._steps), certificate=found)
+
+    def _violated(self, name: str, sequence: Sequence[str]) -> Answer:
+        marking = played_to(self._problem, sequence)
+        self._step(name, "%d firings that were played" % len(sequence))
+        return Answer(
+            self._question,
+            VIOLATED,
+            tuple(self._steps),
+            sequence=tuple(sequence),
+            marking=self._problem.net.named(marking, zeros=False),
+        )
+
+    def _search(self, candidate: Candidate) -> Optional[Answer]:
+        sequence = realise(self._problem, candidate, self._watch())
+        if sequence is not None:
+            return self._violated("guided search", sequence)
+        self._step("guided search", "no way to it was found")
+        return None
+
+    def _explore(self, limit: int) -> Optional[Answer]:
+        seconds = self._end - time.monotonic()
+        if seconds <= 0:
+            self._step("exploration", "no time was left")
+            return None
+        space, markings = self._visited(limit, seconds)
+        bad = self._may_be_bad(space)
+        if markings is not None:
+            bad &= markings.reached
+        for state in np.flatnonzero(bad).tolist():
+            if self._problem.is_bad(space.marking(state)):
+                way = space.path_to(state) if markings is None else markings.way_to(state)
+                return self._violated("exploration", way)
+        number = len(space) if markings is None else int(markings.reached.sum())
+        if not space.complete:
+            self._step("exploration", "not within %s markings" % format(len(space), ","))
+            return None
+        self._step("exploration", "all of %s markings" % format(number, ","))
+        return Answer(self._question, PROVEN, tuple(self._steps), certificate={"markings": number})
+
+    def _visited(self, limit: int, seconds: float) -> Tuple[StateSpace, Optional[PlanMarkings]]:
+        if isinstance(self._subject, Net):
+            space = explore(
+                self._subject,
+                limit=limit,
+                seconds=seconds,
+                progress=self._progress,
+                cancel=self._cancel,
+            )
+            return space, None
+        markings = PlanMarkings(
+            self._subject,
+            limit,
+            losses=self._question.losses,
+            progress=self._progress,
+            cancel=self._cancel,
+            seconds=seconds,
+            keep=[place.name for place in self._problem.net.places],
+        )
+        return markings.space, markings
+
+    def _may_be_bad(self, space: StateSpace) -> Booleans:
+        """The states that fulfil the facts."""
+        bad = np.ones(len(space), dtype=bool)
+        for fact in self._problem.facts:
+            bad &= _holds_in(fact, space)
+        return bad
+
+
+def _name_of(prover: Prover) -> str:
+    return "state equation" if prover.programs else "structure"
+
+
+def _holds_in(formula: Formula, space: StateSpace) -> Booleans:
+    """The states in which a formula holds."""
+    if isinstance(formula, Atom):
+        total = np.zeros(len(space), dtype=np.int64)
+        for p, weight in formula.terms:
+            total += weight * space.column(p).astype(np.int64)
+        return total >= formula.least
+    result = np.full(len(space), isinstance(formula, All))
+    for part in formula.parts:
+        if isinstance(formula, All):
+            result &= _holds_in(part, space)
+        else:
+            result |= _holds_in(part, space)
+    return result

@@ -1,0 +1,563 @@
+"""Questions about the reachable markings of a net or a plan, as facts about the markings that they
+ask for.
+
+Both who searches for a proof and who checks it ask here, so that a certificate is held against the
+net and the plan as they are. A net is asked about as GSPNs are played, with priorities. A plan is
+asked about as in its check (``docs/semantics.md``): robots in decision places are busy while others
+move, the policy decides, and robots may be lost.
+
+Facts may hold in more markings than those that are asked for, where a condition cannot be written
+as inequalities; ``Problem.is_bad`` is always exact.
+"""
+
+from __future__ import annotations
+
+import math
+from fnmatch import fnmatchcase
+from fractions import Fraction
+from functools import partial
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Iterable,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+    Union,
+)
+
+from gspn_framework_package.analysis.plan.edited_nets import counts_that_end, with_losses
+from gspn_framework_package.analysis.plan.structure import may_be_named, terminal_places
+from gspn_framework_package.analysis.proofs.checker import (
+    FALSE,
+    TRUE,
+    All,
+    Atom,
+    Formula,
+    Problem,
+    Some,
+    fulfils,
+    guard,
+    opposite,
+)
+from gspn_framework_package.model.condition import Condition, parse_condition, run_program
+from gspn_framework_package.model.errors import LimitError, UsageError
+from gspn_framework_package.model.net import Marking, Net
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.policy import PolicyRow
+
+DEAD, NEVER, ALWAYS, APART, FIRES, NO_ROW = "dead", "never", "always", "apart", "fires", "no_row"
+
+QUESTION_KINDS = (DEAD, NEVER, ALWAYS, APART, FIRES, NO_ROW)
+
+_STATEMENTS = {
+    DEAD: "no dead marking can be reached",
+    NO_ROW: "every marking that needs a decision has a row of the policy",
+    NEVER: "never %s",
+    ALWAYS: "always %s",
+    APART: "never two tokens in %s",
+    FIRES: "%s never fires",
+}
+
+MOST_PROOF_ROWS = 20_000
+"""Most steps through the rows of a policy."""
+
+_FINEST, _LARGEST = 1 << 16, 1 << 24
+"""The numbers of conditions with which floats compute exactly: multiples of a power of 1/2."""
+
+
+class MarkingQuestion(NamedTuple):
+    """Whether a bad marking can be reached.
+
+    :ivar kind: which markings are bad: ``dead`` ones, those with a condition that should hold
+        ``never``, those without one that should ``always`` hold, those with two tokens in one of
+        some places that should be ``apart``, those in which a transition ``fires``, or those in
+        which a robot needs a decision, and neither a row of the policy matches nor can only one
+        transition fire (``no_row``).
+    :ivar about: the condition, the transition, or a pattern (``At_*``) of the names of places.
+    :ivar losses: whether robots of a plan can be lost.
+    """
+
+    kind: str
+    about: str = ""
+    losses: bool = False
+
+    @property
+    def statement(self) -> str:
+        """The statement that no bad marking can be reached, in words."""
+        text = _STATEMENTS[self.kind]
+        more = ", even if robots are lost" if self.losses else ""
+        return (text % self.about if self.about else text) + more
+
+
+def problem_of(subject: Union[Net, Plan], question: MarkingQuestion) -> Problem:
+    """The facts of a question.
+
+    :raises UsageError: there is no such question about this subject.
+    :raises GspnError: the condition cannot be read, or the transition does not exist.
+    :raises LimitError: the policy is too large.
+    """
+    if question.kind not in QUESTION_KINDS:
+        raise UsageError("there is no question '%s'" % question.kind)
+    if question.kind == ALWAYS:
+        question = question._replace(kind=NEVER, about="not (%s)" % question.about)
+    if isinstance(subject, Plan):
+        return _OfPlan(subject, question).problem()
+    if question.kind == NO_ROW or question.losses:
+        raise UsageError("a net has no policy, and no robots that can be lost")
+    return _of_net(subject, question)
+
+
+def _of_net(net: Net, question: MarkingQuestion) -> Problem:
+    everything = tuple(range(len(net.transitions)))
+    if question.kind == NEVER:
+        condition = _condition(question.about, net)
+        facts = _facts_of(condition)
+        return Problem(net, everything, facts, condition.holds, net.enabled)
+    if question.kind == APART:
+        facts = _two_in_one(net, question.about)
+        return Problem(net, everything, facts, partial(fulfils, facts[0]), net.enabled)
+    if question.kind == FIRES:
+        t = net.transition_number(question.about)
+        return Problem(net, everything, guard(net, t), lambda m: t in net.enabled(m), net.enabled)
+    facts = tuple(_disabled(net, t) for t in simplest_first(net, everything))
+    return Problem(net, everything, facts, lambda m: not net.enabled(m), net.enabled)
+
+
+def simplest_first(net: Net, transitions: Iterable[int]) -> List[int]:
+    """Transitions, those of few conditions first: what they require simplifies those of others."""
+    return sorted(transitions, key=lambda t: len(net.inputs[t]) + len(net.inhibitors[t]))
+
+
+def _two_in_one(net: Net, pattern: str) -> Tuple[Formula, ...]:
+    """Two tokens are in one of the places with such a name."""
+    places = [p for p, place in enumerate(net.places) if fnmatchcase(place.name, pattern)]
+    if not places:
+        raise UsageError("no place has a name like '%s'" % pattern)
+    return (Some(tuple(Atom(((p, 1),), 2) for p in places)),)
+
+
+def _disabled(net: Net, t: int) -> Formula:
+    return opposite(All(guard(net, t)))
+
+
+# -- plans -----------------------------------------------------------------------------------------
+
+
+class _OfPlan:
+    """The facts of a question about a plan."""
+
+    def __init__(self, plan: Plan, question: MarkingQuestion) -> None:
+        self._plan, self._question = plan, question
+        named: Sequence[str] = ()
+        if question.kind == NEVER:
+            named = _condition(question.about, plan.net).places
+        if question.kind == APART:
+            named = [p for p in plan.counters if fnmatchcase(p, question.about)]
+        left_out = [p for p in plan.counters if p not in named]
+        net = plan.net.without_places(left_out)
+        self._own = len(net.transitions)
+        self._net = with_losses(net, plan, set(left_out)) if question.losses else net
+        self._original = [plan.net.place_number(place.name) for place in self._net.places]
+        self._robots = {
+            p for p, place in enumerate(self._net.places) if place.name not in plan.resource_places
+        }
+        # each transition is looked for where a token is rare
+        self._from: Dict[int, List[int]] = {p: [] for p in range(-1, len(self._net.places))}
+        for t, inputs in enumerate(self._net.inputs):
+            start, consumers = self._net.initial_marking, self._net.consumers
+            rarest = min(inputs, key=lambda i: (start[i[0]], len(consumers[i[0]])), default=(-1,))
+            self._from[rarest[0]].append(t)
+        self._may_be_named: Dict[int, bool] = {}
+        self._table = plan.policy.bind(plan.net)
+        self._until: Optional[Condition] = None
+        if plan.until:
+            self._until = _condition(plan.until, self._net)
+        self._rows = _RowsOfPlaces(plan, self._net)
+
+    def problem(self) -> Problem:
+        """The question as a problem."""
+        kind, net = self._question.kind, self._net
+        facts: Tuple[Formula, ...]
+        is_bad: Callable[[Marking], bool]
+        if kind == NEVER:
+            condition = _condition(self._question.about, net)
+            facts, is_bad = _facts_of(condition), condition.holds
+        elif kind == APART:
+            facts = _two_in_one(net, self._question.about)
+            is_bad = partial(fulfils, facts[0])
+        else:
+            how = {DEAD: self._dead, FIRES: self._fires, NO_ROW: self._gap}[kind]
+            facts = (*self._not_over(), *(fact for fact in how() if not _is_true(fact)))
+            is_bad = self._exactly(facts)
+        transitions = tuple(t for t in range(len(net.transitions)) if self._ever_fires(t))
+        return Problem(net, transitions, facts, is_bad, self.fires)
+
+    def _exactly(self, facts: Sequence[Formula]) -> Callable[[Marking], bool]:
+        """Whether all facts hold in a marking of a run that is not over."""
+        first = [0]  # the fact that failed last, which often fails in the next marking
+
+        def is_bad(marking: Marking) -> bool:
+            if facts and not fulfils(facts[first[0]], marking):
+                return False
+            for number, fact in enumerate(facts):
+                if not fulfils(fact, marking):
+                    first[0] = number
+                    return False
+            return not self._is_over(marking)
+
+        return is_bad
+
+    # -- the end of a run
+
+    def _is_over(self, marking: Marking) -> bool:
+        return self._until is not None and self._until.holds(marking)
+
+    def _not_over(self) -> Tuple[Formula, ...]:
+        if self._until is None:
+            return ()
+        try:
+            return (opposite(formula_of(self._until)),)
+        except LimitError:
+            ends = counts_that_end(self._net, self._plan)
+            return tuple(
+                Atom(((self._net.place_number(name), -1),), 1 - count) for name, count in ends
+            )
+
+    # -- what fires
+
+    def fires(self, marking: Marking) -> List[int]:
+        """The transitions that may fire: those that the policy may choose, or that an action, a
+        rule of failure, an event or the loss of a robot asks for."""
+        if self._is_over(marking):
+            return []
+        full = [0] * len(self._plan.net.places)
+        for p, count in zip(self._original, marking):
+            full[p] = count
+        net = self._net
+        return [
+            t
+            for p in (-1, *(p for p, count in enumerate(marking) if count))
+            for t in self._from[p]
+            if net.is_enabled(marking, t)
+            and (not self._asking(t) or self._named(t) or self._chosen_in(full, t))
+        ]
+
+    def _asking(self, t: int) -> List[int]:
+        """The places of the robots that ask the policy for ``t``; none for other transitions."""
+        if t >= self._own or self._net.transitions[t].timed:
+            return []
+        return [p for p, _ in self._net.inputs[t] if p in self._robots]
+
+    def _named(self, t: int) -> bool:
+        if t not in self._may_be_named:
+            asking = [self._original[p] for p in self._asking(t)]
+            self._may_be_named[t] = may_be_named(self._plan, t, asking)
+        return self._may_be_named[t]
+
+    def _chosen_in(self, full: Sequence[int], t: int) -> bool:
+        for p in self._asking(t):
+            found = self._table.distribution(full, self._original[p])
+            if found is not None:
+                if any(chosen == t for chosen, _ in found.choices):
+                    return True
+            elif self._weights_decide(t) and not self._table.matches(full, self._original[p]):
+                return True
+        return False
+
+    def _weights_decide(self, t: int) -> bool:
+        return not self._plan.strict and not self._net.transitions[t].is_controllable
+
+    def _ever_fires(self, t: int) -> bool:
+        """False: nobody ever asks for ``t``."""
+        asking = self._asking(t)
+        if not asking or self._named(t) or self._weights_decide(t):
+            return True
+        return any(t in chosen for p in asking for _, chosen in self._rows.of(p))
+
+    # -- the questions
+
+    def _dead(self) -> Iterator[Formula]:
+        net = self._net
+        ends = {self._plan.net.places[p].name for p in terminal_places(self._plan)}
+        busy = sorted(p for p in self._robots if net.places[p].name not in ends)
+        yield Atom(tuple((p, 1) for p in busy), 1)
+        for t in simplest_first(net, range(self._own)):
+            if not self._asking(t):
+                yield _disabled(net, t)
+        for p in sorted(self._robots):
+            yield from self._policy_moves_nobody(p)
+
+    def _policy_moves_nobody(self, p: int) -> Iterator[Formula]:
+        """The policy lets no robot in place number ``p`` choose what is enabled."""
+        for _, cells, chosen, before in self._rows.by_precedence(p):
+            fails = [opposite(part) for part in (*cells, *map(opposite, before))]
+            for t in chosen:
+                yield Some((*fails, _disabled(self._net, t)))
+        if self._plan.strict:
+            return
+        weighty = [t for t in self._leaving(p) if self._weights_decide(t)]
+        if weighty:
+            nothing = All(tuple(_disabled(self._net, t) for t in weighty))
+            yield Some((nothing, self._rows.any_matches(p)))
+
+    def _fires(self) -> Iterator[Formula]:
+        t = self._plan.net.transition_number(self._question.about)
+        yield from guard(self._net, t)
+        if not self._asking(t) or self._named(t):
+            return
+        ways: List[Formula] = []
+        for p in self._asking(t):
+            for _, cells, chosen, before in self._rows.by_precedence(p):
+                if t in chosen:
+                    ways.append(All((*cells, *map(opposite, before))))
+            if self._weights_decide(t):
+                ways.append(opposite(self._rows.any_matches(p)))
+        yield Some(tuple(ways))
+
+    def _gap(self) -> Iterator[Formula]:
+        """Some robot needs a decision, and no row of its scope matches."""
+        asked: Dict[int, List[Formula]] = {}
+        for p in sorted(self._robots):
+            asked.setdefault(self._rows.scope(p), []).append(self._needs_decision(p))
+        if len(asked) == 1:
+            ((scope, places),) = asked.items()
+            yield Some(tuple(places))
+            yield from (opposite(self._rows.match(n)) for n in self._rows.in_scope(scope))
+            return
+        silent = {scope: opposite(self._rows.matches(scope)) for scope in asked}
+        yield Some(tuple(All((Some(tuple(ps)), silent[scope])) for scope, ps in asked.items()))
+
+    def _needs_decision(self, p: int) -> Formula:
+        """A row is needed for a robot in place number ``p``: in a strict plan, wherever one of its
+        immediate transitions is enabled; in others, where two are, or only such that no weight
+        decides on."""
+        net = self._net
+        leaving = self._leaving(p)
+        enabled = [All(guard(net, t)) for t in leaving]
+        if self._plan.strict:
+            return Some(tuple(enabled))
+        none_by_weight = [_disabled(net, t) for t in leaving if self._weights_decide(t)]
+        ways: List[Formula] = [
+            All((able, *none_by_weight))
+            for t, able in zip(leaving, enabled)
+            if not self._weights_decide(t)
+        ]
+        if self._rows.in_scope(self._rows.scope(p)):  # a subnet may have no policy of its own
+            ways += [All((e, Some(tuple(enabled[i + 1 :])))) for i, e in enumerate(enabled[:-1])]
+        return Some(tuple(ways))
+
+    def _leaving(self, p: int) -> List[int]:
+        return [
+            t
+            for t in self._net.consumers[p]
+            if t < self._own and not self._net.transitions[t].timed
+        ]
+
+
+class _RowsOfPlaces:
+    """The rows of a policy that decide for each place of ``net``, by precedence."""
+
+    def __init__(self, plan: Plan, net: Net) -> None:
+        policy = plan.policy
+        self._policy, self._net = policy, net
+        scopes = policy.scope_numbers()
+        self._scope = [scopes.get(place.name, 0) for place in net.places]
+        self._row_scope = policy.row_scopes()
+        self._chosen: Dict[int, Dict[int, Set[int]]] = {}  # place -> row -> transitions
+        self._waits: Dict[int, List[int]] = {}  # scope -> its rows without choices
+        for number, row in enumerate(policy.rows):
+            if not row.choices:
+                self._waits.setdefault(self._row_scope[number], []).append(number)
+            for name, probability in row.choices:
+                t = net.transition_number(name)
+                for p, _ in net.inputs[t]:
+                    if probability > 0 and self._scope[p] == self._row_scope[number]:
+                        self._chosen.setdefault(p, {}).setdefault(number, set()).add(t)
+        self._steps = 0
+        self._matches: Dict[int, Formula] = {}  # scope -> one of its rows matches
+        self._cells = [tuple(self._row_cells(row)) for row in policy.rows]
+
+    def scope(self, p: int) -> int:
+        """The number of the scope of a place."""
+        return self._scope[p]
+
+    def in_scope(self, scope: int) -> List[int]:
+        """The rows of a scope."""
+        return [number for number, of in enumerate(self._row_scope) if of == scope]
+
+    def _row_cells(self, row: PolicyRow) -> Iterator[Formula]:
+        """What a row asks for."""
+        for name, count in zip(self._policy.places, row.counts):
+            if count is not None:
+                p = self._net.place_number(name)
+                yield Atom(((p, -1),), -count)
+                yield from [Atom(((p, 1),), count)] * (count > 0)
+
+    def match(self, number: int) -> Formula:
+        """A row matches."""
+        return All(self._cells[number])
+
+    def matches(self, scope: int) -> Formula:
+        """Some row of a scope matches."""
+        if scope not in self._matches:
+            rows = [self._cells[number] for number in self.in_scope(scope)]
+            found = TRUE if () in rows else Some(tuple(map(All, rows)))
+            self._matches[scope] = found
+        return self._matches[scope]
+
+    def any_matches(self, p: int) -> Formula:
+        """Some row of the scope of a place matches."""
+        return self.matches(self._scope[p])
+
+    def of(self, p: int) -> Iterator[Tuple[int, Sequence[int]]]:
+        """The rows that decide for a place, by precedence, each with the transitions that it lets a
+        robot choose there; those without any let robots wait."""
+        chosen = self._chosen.get(p, {})
+        numbers = {*chosen, *self._waits.get(self._scope[p], ())}
+        rows = self._policy.rows
+        for number in sorted(numbers, key=lambda n: (rows[n].counts.count(None), n)):
+            yield number, sorted(chosen.get(number, ()))
+
+    def by_precedence(
+        self, p: int
+    ) -> Iterator[Tuple[int, Tuple[Formula, ...], Sequence[int], List[Formula]]]:
+        """The rows of :meth:`of`, each with what it asks for, what it lets robots choose, and that
+        rows which take precedence match.
+
+        :raises LimitError: there are too many.
+        """
+        seen: List[int] = []
+        for number, chosen in self.of(p):
+            before = [self.match(other) for other in seen if self._overlap(other, number)]
+            yield number, self._cells[number], chosen, before
+            seen.append(number)
+            self._steps += 1 + len(seen) // 10 + len(chosen)
+            if self._steps > MOST_PROOF_ROWS:
+                raise LimitError("not decided: the policy is too large for a proof")
+
+    def _overlap(self, first: int, second: int) -> bool:
+        """Whether two rows match a common marking."""
+        rows = self._policy.rows
+        return all(
+            None in cells or cells[0] == cells[1]
+            for cells in zip(rows[first].counts, rows[second].counts)
+        )
+
+
+def _is_true(formula: Formula) -> bool:
+    """Whether a formula says nothing. (Tuples of different kinds are equal if their items are.)"""
+    if isinstance(formula, Some):
+        return any(map(_is_true, formula.parts))
+    return isinstance(formula, All) and not formula.parts
+
+
+# -- conditions ------------------------------------------------------------------------------------
+
+
+def _condition(text: str, net: Net) -> Condition:
+    return parse_condition(text, [place.name for place in net.places])
+
+
+def _facts_of(condition: Condition) -> Tuple[Formula, ...]:
+    """A condition as facts; none if it cannot be written as inequalities."""
+    try:
+        return (formula_of(condition),)
+    except LimitError:
+        return ()
+
+
+class _Sum(NamedTuple):
+    """A weighted sum of counts (place number -> weight), plus a constant."""
+
+    weights: Dict[int, Fraction]
+    constant: Fraction
+
+    def plus(self, other: _Sum, times: Fraction) -> _Sum:
+        weights = dict(self.weights)
+        for p, weight in other.weights.items():
+            weights[p] = weights.get(p, Fraction(0)) + times * weight
+        return _Sum(weights, self.constant + times * other.constant)
+
+    def at_least(self, more: int) -> Atom:
+        """The sum is 0 or more, or above 0 if ``more`` is 1."""
+        parts = [*self.weights.values(), self.constant]
+        scale = 1
+        for part in parts:
+            scale *= part.denominator // math.gcd(scale, part.denominator)
+        terms = tuple((p, int(w * scale)) for p, w in sorted(self.weights.items()) if w)
+        return Atom(terms, more - int(self.constant * scale))
+
+
+def formula_of(condition: Condition) -> Formula:
+    """A condition as a formula.
+
+    :raises LimitError: it is not linear, or its numbers are such that floats would round.
+    """
+    counts = {
+        p: _Sum({p: Fraction(1)}, Fraction(0)) for step, p in condition.program if step == "place"
+    }
+    return _as_formula(run_program(condition.program, counts, {}, _Steps()))
+
+
+class _Steps(Dict[str, Callable[..., Any]]):
+    """What the steps of a condition's program do with sums and formulas."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self["+"] = lambda a, b: _as_sum(a).plus(_as_sum(b), Fraction(1))
+        self["-"] = lambda a, b: _as_sum(a).plus(_as_sum(b), Fraction(-1))
+        self["negate"] = lambda a: _times(_as_sum(a), Fraction(-1))
+        self["*"] = _product
+        self["/"] = lambda a, b: _product(a, _inverse(b))
+        self[">="] = lambda a, b: self["-"](a, b).at_least(0)
+        self[">"] = lambda a, b: self["-"](a, b).at_least(1)
+        self["<="] = lambda a, b: self[">="](b, a)
+        self["<"] = lambda a, b: self[">"](b, a)
+        self["=="] = lambda a, b: All((self[">="](a, b), self["<="](a, b)))
+        self["!="] = lambda a, b: Some((self[">"](a, b), self["<"](a, b)))
+        self["and"] = lambda a, b: All((_as_formula(a), _as_formula(b)))
+        self["or"] = lambda a, b: Some((_as_formula(a), _as_formula(b)))
+        self["not"] = lambda a: opposite(_as_formula(a))
+
+    def __missing__(self, step: str) -> Callable[..., Any]:
+        raise LimitError("not decided: a condition with '%s' is not linear" % step)
+
+
+def _as_formula(value: Any) -> Formula:
+    if isinstance(value, bool):
+        return TRUE if value else FALSE
+    return value
+
+
+def _as_sum(value: Any) -> _Sum:
+    if isinstance(value, _Sum):
+        return value
+    number = Fraction(value)
+    finest = number.denominator
+    if finest > _FINEST or finest & (finest - 1) or abs(number) > _LARGEST:
+        raise LimitError("not decided: the condition has the number %s" % value)
+    return _Sum({}, number)
+
+
+def _times(total: _Sum, times: Fraction) -> _Sum:
+    return _Sum({}, Fraction(0)).plus(total, times)
+
+
+def _inverse(value: Any) -> Fraction:
+    number = _as_sum(value)
+    if number.weights or number.constant == 0:
+        raise LimitError("not decided: a condition that divides by counts is not linear")
+    return 1 / number.constant
+
+
+def _product(a: Any, b: Any) -> _Sum:
+    left, right = _as_sum(a), _as_sum(b)
+    if left.weights and right.weights:
+        raise LimitError("not decided: a condition with a product of counts is not linear")
+    return _times(left, right.constant) if left.weights else _times(right, left.constant)

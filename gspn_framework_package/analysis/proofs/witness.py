@@ -1,0 +1,124 @@
+"""The search for firings that lead to a bad marking, guided by a solution of the state equation:
+how often each transition fires on the way, but not in which order."""
+
+from __future__ import annotations
+
+import heapq
+import random
+from typing import Dict, List, Optional, Tuple
+
+from gspn_framework_package.analysis.proofs.checker import Problem
+from gspn_framework_package.analysis.proofs.prover import Candidate
+from gspn_framework_package.analysis.watch import Watch
+from gspn_framework_package.model.errors import LimitError
+from gspn_framework_package.model.net import Marking
+
+MOST_SEARCHED = 100_000
+"""Most markings that the search visits in order."""
+
+FIRST_MARKINGS = 3_000
+"""How many of them before the walks."""
+
+MOST_WALKS, LONGEST_WALK = 1_000, 3_000
+"""Most random walks, and most firings of each."""
+
+_DETOUR = 2
+"""How much a firing that is not in the solution costs, in firings that are."""
+
+_ON_THE_WAY = 0.7
+"""The probability that a walk takes a firing of the solution, where it can."""
+
+
+def realise(problem: Problem, candidate: Candidate, watch: Watch) -> Optional[List[str]]:
+    """The names of transitions whose firings lead to a bad marking; None if none were found within
+    the limits.
+
+    The search goes on from the marking that lacks the fewest firings of the solution. If that does
+    not lead there soon, random walks are tried, which get stuck where a team does, and then again
+    the search.
+    """
+    firings = {t: round(n) for t, n in candidate.firings.items() if round(n) > 0}
+    search = _Search(problem, firings, watch)
+    try:
+        found = search.go_on(FIRST_MARKINGS)
+        if found is None:
+            found = _walk(problem, firings, watch.half())
+        if found is None:
+            found = search.go_on(MOST_SEARCHED)
+    except LimitError:
+        return None
+    return None if found is None else [problem.net.transitions[t].name for t in found]
+
+
+class _Search:
+    """A search from the markings that lack the fewest firings."""
+
+    def __init__(self, problem: Problem, firings: Dict[int, int], watch: Watch) -> None:
+        self._problem, self._watch = problem, watch
+        start = problem.net.initial_marking
+        self._came: Dict[Marking, Tuple[Optional[Marking], int]] = {start: (None, -1)}
+        self._waiting: List[Tuple[int, int, int, Marking, Dict[int, int]]] = [
+            (sum(firings.values()), 0, 0, start, firings)
+        ]
+
+    def go_on(self, limit: int) -> Optional[List[int]]:
+        """Search until a bad marking or ``limit`` markings are known.
+
+        :raises LimitError: the time is over.
+        """
+        problem = self._problem
+        while self._waiting and len(self._came) < limit:
+            missing, length, _, marking, left = heapq.heappop(self._waiting)
+            if problem.is_bad(marking):
+                return self._way(marking)
+            self._watch.step("markings of a guided search", len(self._came))
+            for t in problem.fires(marking):
+                after = problem.net.fire(marking, t)
+                if after in self._came:
+                    continue
+                self._came[after] = marking, t
+                rest, lacks = left, missing + _DETOUR
+                if left.get(t, 0) > 0:
+                    rest, lacks = {**left, t: left[t] - 1}, missing - 1
+                item = lacks, length + 1, len(self._came), after, rest
+                heapq.heappush(self._waiting, item)
+        return None
+
+    def _way(self, end: Marking) -> List[int]:
+        way: List[int] = []
+        before, t = self._came[end]
+        while before is not None:
+            way.append(t)
+            before, t = self._came[before]
+        return way[::-1]
+
+
+def _walk(problem: Problem, firings: Dict[int, int], watch: Watch) -> Optional[List[int]]:
+    """Random walks until one reaches a bad marking; detours back to the same marking are cut
+    out. None if there is no time left."""
+    draw = random.Random(1)
+    for walks in range(MOST_WALKS):
+        marking, left = problem.net.initial_marking, dict(firings)
+        way: List[int] = []
+        seen = {marking: 0}
+        for _ in range(LONGEST_WALK):
+            if problem.is_bad(marking):
+                return way
+            try:
+                watch.step("random walks", walks)
+            except LimitError:
+                return None
+            able = list(problem.fires(marking))
+            if not able:
+                break
+            wanted = [t for t in able if left.get(t, 0) > 0]
+            t = draw.choice(wanted if wanted and draw.random() < _ON_THE_WAY else able)
+            left[t] = left.get(t, 0) - 1
+            marking = problem.net.fire(marking, t)
+            way.append(t)
+            if marking in seen:
+                for other in [m for m, length in seen.items() if length > seen[marking]]:
+                    del seen[other]
+                del way[seen[marking] :]
+            seen[marking] = len(way)
+    return None

@@ -1,0 +1,76 @@
+"""The questions of ``gspn check`` about all markings, and the files with their proofs."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from typing import Any, Dict, Iterator, List, Tuple, Union
+
+from gspn_framework_package.analysis.proofs import questions
+from gspn_framework_package.analysis.proofs.checker import ProofError, check_certificate
+from gspn_framework_package.analysis.proofs.questions import MarkingQuestion, problem_of
+from gspn_framework_package.formats.json_file import read_json
+from gspn_framework_package.formats.plan_file import read_net_or_plan
+from gspn_framework_package.model.errors import InputError
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
+
+FORMAT = "gspn_proofs"
+
+
+def asked(args: argparse.Namespace, subject: Union[Net, Plan]) -> List[MarkingQuestion]:
+    """The questions in the arguments."""
+    kinds = [questions.DEAD, questions.NO_ROW] if isinstance(subject, Plan) else [questions.DEAD]
+    return [
+        *([MarkingQuestion(kind) for kind in kinds] if args.certificate else []),
+        *(MarkingQuestion(questions.NEVER, text) for text in args.never),
+        *(MarkingQuestion(questions.ALWAYS, text) for text in args.always),
+        *(MarkingQuestion(questions.APART, pattern) for pattern in args.apart),
+        *(MarkingQuestion(questions.FIRES, name) for name in args.never_fires),
+    ]
+
+
+def write_proofs(path: str, args: argparse.Namespace, proofs: List[Dict[str, Any]]) -> None:
+    """Write the proofs to a file that names the plan or net."""
+    data = {
+        "format": FORMAT,
+        "version": 1,
+        "subject": os.path.relpath(args.plan, os.path.dirname(path) or "."),
+        "robots": args.robots,
+        "proofs": proofs,
+    }
+    with open(path, "w", encoding="utf-8") as file:
+        file.write(json.dumps(data) + "\n")
+
+
+def holds_proofs(path: str) -> bool:
+    """Whether a file begins like one with proofs."""
+    if not os.path.isfile(path):
+        return False
+    with open(path, "rb") as file:
+        return b'"%s"' % FORMAT.encode() in file.read(100)
+
+
+def checked_proofs(path: str) -> Iterator[Tuple[str, str]]:
+    """Check the proofs of a file: for each the statement, and why it is refused, or "".
+
+    :raises GspnError: the file, or the plan or net that it names, cannot be read.
+    """
+    data = read_json(path)
+    try:
+        where = os.path.join(os.path.dirname(path), data["subject"])
+        robots, proofs = data["robots"], list(data["proofs"])
+        asked_before = [MarkingQuestion(**proof["question"]) for proof in proofs]
+    except (KeyError, TypeError) as error:
+        raise InputError("these are no proofs: %r" % error, file=path) from None
+    found = read_net_or_plan(where)
+    subject: Union[Net, Plan] = found.plan or found.net
+    if robots is not None and isinstance(subject, Plan):
+        subject = subject.for_robots(robots)
+    for question, proof in zip(asked_before, proofs):
+        try:
+            how = check_certificate(problem_of(subject, question), proof.get("certificate"))
+            yield "%s (%s)" % (question.statement, how), ""
+        except ProofError as error:
+            yield question.statement, str(error)
