@@ -24,7 +24,7 @@ from gspn_framework_package.model.errors import GspnError, InputError, UsageErro
 from gspn_framework_package.visualizer import deploying
 from gspn_framework_package.visualizer.activity import whole_field
 from gspn_framework_package.visualizer.analysis_jobs import AnalysisJobs
-from gspn_framework_package.visualizer.documents import Document, read_upload
+from gspn_framework_package.visualizer.documents import Document, read_upload, run_net_document
 from gspn_framework_package.visualizer.editing import routes as editing
 from gspn_framework_package.visualizer.fleet_page import FleetPage
 from gspn_framework_package.visualizer.guard import SECURITY_HEADERS, Guard, LoginError, is_loopback
@@ -192,6 +192,12 @@ def _add_opening(app: flask.Flask, project: Project) -> None:
     def upload() -> Dict[str, Any]:
         document: Document = read_upload(_body().get("files"))
         key = "upload-" + secrets.token_hex(6)
+        return {"id": project.sessions.get_or_open(key, lambda: Session(key, document)).key}
+
+    @app.route("/api/run_net", methods=["POST"])
+    def run_net() -> Dict[str, Any]:
+        document = run_net_document(_session(project).document)
+        key = "run-net-" + secrets.token_hex(6)
         return {"id": project.sessions.get_or_open(key, lambda: Session(key, document)).key}
 
 

@@ -12,8 +12,9 @@ import json
 import os
 import re
 import tempfile
-from typing import Dict, List, NamedTuple, Optional, Tuple
+from typing import Dict, List, Mapping, NamedTuple, Optional, Tuple
 
+from gspn_framework_package.analysis.plan.run_net_export import run_net_of
 from gspn_framework_package.formats.plan_file import PLAN_FILE, looks_like_plan, read_net_or_plan
 from gspn_framework_package.formats.registry import FORMATS
 from gspn_framework_package.formats.source import is_inside
@@ -37,7 +38,8 @@ PROGRAMS = (".py", ".pyc", ".pth", ".so")
 class Document(NamedTuple):
     """An open net: ``title`` for people, ``plan`` if it is a plan, ``executable`` if the operator
     served it as a plan, ``notes`` on how it was read, ``file``: the plan file that the operator
-    chose, next to which other plans may be saved ("" if there is none)."""
+    chose, next to which other plans may be saved ("" if there is none), ``meanings``: what the
+    nodes of a run net stand for, by name."""
 
     title: str
     net: Net
@@ -45,6 +47,7 @@ class Document(NamedTuple):
     executable: bool = False
     notes: Tuple[str, ...] = ()
     file: str = ""
+    meanings: Mapping[str, str] = {}
 
 
 class FileEntry(NamedTuple):
@@ -188,6 +191,21 @@ def read_upload(files: object) -> Document:
             if error.file:  # do not reveal the folder
                 error.file = os.path.basename(error.file)
             raise
+
+
+def run_net_document(document: Document) -> Document:
+    """The run net of a plan, to be shown.
+
+    :raises UsageError: the document is a net.
+    :raises RefusedError: an ordinary net cannot express the plan, or would be too large.
+    """
+    if document.plan is None:
+        raise UsageError("only a plan has a run net")
+    literal, notes = run_net_of(document.plan)
+    nodes = {**literal.places, **literal.transitions}
+    meanings = {name: meaning.text for name, meaning in nodes.items()}
+    title = "%s, its run net" % document.title
+    return _checked(Document(title, literal.net, notes=tuple(notes), meanings=meanings))
 
 
 def _sent_files(files: object) -> Dict[str, bytes]:

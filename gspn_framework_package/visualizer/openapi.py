@@ -167,6 +167,9 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         },
         answer={"id": TEXT},
     ),
+    ("POST", "/api/run_net"): ApiOperation(
+        "run_net", "Open the run net of an open plan.", ("id",), {}, {"id": TEXT}
+    ),
     ("GET", "/api/session"): ApiOperation(
         "session",
         "An open net: its title, and its scene with all places, transitions and arcs.",

@@ -90,6 +90,7 @@ class Session:
             "simulable": self._home is None,
             "saves": bool(self.document.file),
             "notes": list(self.document.notes),
+            "meanings": dict(self.document.meanings),
             "scene": self.scene,
         }
 

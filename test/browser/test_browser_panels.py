@@ -88,6 +88,17 @@ def test_a_plan_is_analysed_as_it_runs_or_as_its_net(show_net, open_page):
     assert page.locator("#an-reading").is_disabled()
 
 
+def test_the_run_net_of_a_plan_is_shown_with_what_its_nodes_stand_for(show_net, open_page):
+    plan = read_plan("plans/rendezvous")
+    page = open_page(show_net(plan.net, plan).address)
+    page.click("#show-run-net")
+    page.wait_for_selector("#subtitle:has-text('its run net')")
+    assert "take exponential times" in page.inner_text("#inspector")
+    assert page.locator("#show-run-net").count() == 0
+    page.click("#left >> text=Docked_done_wants_Hand_Over")
+    page.wait_for_selector("#inspector:has-text('robots: Docked (done, wants Hand_Over)')")
+
+
 def test_questions_are_answered(show_net, open_page):
     page = open_page(show_net(flawed()).address)
     page.keyboard.press("3")

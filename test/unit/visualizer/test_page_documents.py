@@ -268,3 +268,23 @@ def test_a_subnet_in_the_served_folder_leads_nowhere_else(served, kind):
     (served / "outer.json").write_text(json.dumps(with_subnet(path)))
     with pytest.raises(GspnError, match="it is a pipe" if kind == "pipe" else "outside the folder"):
         Folder(str(served)).open("outer.json")
+
+
+def test_the_run_net_of_a_plan_is_shown(served):
+    client = PageClient(folder_project(served))
+    key = client.post("/api/open", {"path": "plan.json"}).get_json()["id"]
+    opened = client.post("/api/run_net?id=%s" % key, {})
+    assert opened.status_code == 200
+    shown = client.get("/api/session?id=%s" % opened.get_json()["id"]).get_json()
+    assert shown["title"] == "plan.json, its run net" and not shown["executable"]
+    names = [node["name"] for kind in ("places", "transitions") for node in shown["scene"][kind]]
+    assert sorted(shown["meanings"]) == sorted(names)
+    assert "all robots in a" in shown["meanings"].values()
+    assert client.do("step", session=opened.get_json()["id"]).status_code == 200
+
+
+def test_a_net_has_no_run_net(served):
+    client = PageClient(folder_project(served))
+    key = client.post("/api/open", {"path": "net.xml"}).get_json()["id"]
+    answer = client.post("/api/run_net?id=%s" % key, {})
+    assert answer.status_code == 400 and "only a plan has" in answer.get_json()["error"]

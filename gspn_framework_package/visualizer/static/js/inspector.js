@@ -13,11 +13,12 @@ function badNumber(field) {
   return field.validity.badInput;
 }
 
-/** Fires "fire" (detail index), "choose" (detail {kind, index, fly}), "probability" (detail {index, value}).
- * `orders`: the orders that an operator may give to a running team. */
+/** Fires "run-net", "fire" (detail index), "choose" (detail {kind, index, fly}), "probability" (detail {index, value}).
+ * `orders`: the orders that an operator may give to a running team; `mayAct`: whether the viewer is one. */
 export class Inspector extends EventTarget {
-  constructor(model, orders) {
+  constructor(model, orders, mayAct) {
     super();
+    this.mayAct = mayAct;
     this.model = model;
     this.orders = orders;
     this.panel = $("inspector");
@@ -151,6 +152,18 @@ export class Inspector extends EventTarget {
         ],
       ]),
       h("p.muted", "Select a place or a transition in the net or the list to see its details."),
+      scene.plan &&
+        this.mayAct &&
+        h(
+          "div.buttons",
+          h("button", {
+            id: "show-run-net",
+            text: "Show the run net",
+            title: "The net that the plan is while it runs: actions, requests and draws as places",
+            "data-focus": "run-net",
+            onclick: () => this.dispatchEvent(new CustomEvent("run-net")),
+          }),
+        ),
       notes.length > 0 && [h("h3", "Notes"), notes.map((note) => h("p.muted", note))],
       board.notes.length > 0 && [
         h("h3", "Reports"),
@@ -194,7 +207,7 @@ export class Inspector extends EventTarget {
     };
     return [
       h("h2", place.name),
-      h("p.muted", kinds[place.kind]),
+      h("p.muted", this.model.session.meanings[place.name] || kinds[place.kind]),
       facts([
         ["Tokens", String(board.marking[index])],
         ["Initial tokens", String(place.tokens)],
@@ -242,6 +255,7 @@ export class Inspector extends EventTarget {
     const breakpoint = this.orders.breakpoint(transition);
     const waiting = waitingFor(board, transition.name);
     const mine = info.probabilities?.[String(index)];
+    const meaning = this.model.session.meanings[transition.name];
     const around = (title, forth) => {
       const arcs = scene.arcs.filter(([, t, direction]) => t === index && direction === forth);
       const says = (weight, inhibitor) =>
@@ -257,6 +271,7 @@ export class Inspector extends EventTarget {
     };
     return [
       h("h2", transition.name),
+      meaning && h("p.muted", meaning),
       h(
         "p",
         h("span", {

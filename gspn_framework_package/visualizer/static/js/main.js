@@ -100,6 +100,12 @@ class Page {
     else location.hash = hash;
   }
 
+  /** Show the run net of the open plan. */
+  async showRunNet() {
+    const opened = await attempt(() => post("run_net", {}, { id: this.model.session.id }));
+    if (opened) this.go(opened.id);
+  }
+
   /** Edit a file of the folder. */
   edit(key) {
     this.go(key, "&edit");
@@ -182,7 +188,7 @@ class Page {
     this.view = new NetView($("net"), model, $("subnets"));
     this.view.setShowEnabled(this.showEnabled);
     this.list = new NodeList(model);
-    this.inspector = new Inspector(model, this.orders);
+    this.inspector = new Inspector(model, this.orders, this.mayAct);
     this.robots = new RobotsPanel(model, this.orders);
     this.analysis = new AnalysisPanel(
       model,
@@ -348,6 +354,7 @@ class Page {
     const fire = ({ detail }) => model.mode === "SIMULATE" && this.tools.fire(detail);
     this.list.addEventListener("fire", fire);
     this.inspector.addEventListener("fire", fire);
+    this.inspector.addEventListener("run-net", () => this.showRunNet());
     this.inspector.addEventListener("probability", ({ detail }) =>
       this.tools.setProbability(detail.index, detail.value),
     );
