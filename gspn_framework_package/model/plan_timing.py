@@ -245,6 +245,22 @@ class PlanTiming:
                 "while a robot is in their place, the events %s occur at the rates of the net"
                 % listed(by_rate)
             )
+        resumed = [
+            net.transitions[t].name
+            for events in self.events.values()
+            for t in events
+            if plan.events[net.transitions[t].name].resume
+        ]
+        if resumed:
+            self.assumptions.append(
+                "a visit that continues one that %s interrupted takes as long, and ends, as any "
+                "other" % listed(resumed)
+            )
+        if plan.tasks.queues:
+            self.assumptions.append(
+                "tasks from %s are alike: how long an action takes and what it names does not "
+                "depend on their data" % listed(plan.tasks.queues)
+            )
 
 
 def why_blocked(net: Net, t: int, place: int) -> str:

@@ -12,6 +12,7 @@ marking in which a run may ask the policy.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
@@ -217,6 +218,14 @@ class DecisionProblem:
         sentences += of_events(self.plan)
         if any(chance > 0 for chance in self.plan.failures.values()):
             sentences.append("actions always succeed")
+        cut_off = [
+            name
+            for name in acting
+            for place in (timing.places[self.plan.net.place_number(name)],)
+            if place.timeout < math.inf and place.duration.survival(place.timeout) > 0
+        ]
+        if cut_off:
+            sentences.append("no timeout cuts an action off (%s)" % listed(cut_off))
         return sentences
 
     # -- states ------------------------------------------------------------------------------------

@@ -15,6 +15,8 @@ from test_simulation_as_run import TooLongError, assert_alike, kernel_rows, refe
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.chain import Chain
+from gspn_framework_package.analysis.decisions.problem import DecisionProblem
+from gspn_framework_package.analysis.plan.reading import RUN
 from gspn_framework_package.analysis.plan.space import explore_plan
 from gspn_framework_package.analysis.simulation import machine, simulate
 from gspn_framework_package.model.builder import NetBuilder
@@ -60,6 +62,24 @@ def test_an_event_is_no_outcome_of_the_action():
     assert timing.events[work] == (net.transition_index["low"],)
     assert guards().of_action(work) == (finish,)
     assert any("the events low occur at the rates" in text for text in timing.assumptions)
+
+
+def test_what_a_visit_or_a_task_carries_on_is_said_to_change_nothing():
+    """In the analysis, in the optimiser and in the simulation."""
+    plan = guards(1, event=EVENT._replace(resume=True))
+    plan = replace(plan, tasks=Tasks(queues=("Dock",)))
+    resumed = (
+        "a visit that continues one that low interrupted takes as long, and ends, as any other"
+    )
+    alike = "tasks from Dock are alike: how long an action takes and what it names does not depend"
+    for notes in (
+        Analysis(plan).timing.assumptions,
+        DecisionProblem(plan, reading=RUN).assumptions,
+        simulate(plan, time=1.0, replications=2).notes,
+    ):
+        assert resumed in notes
+        assert any(note.startswith(alike) for note in notes)
+    assert not any("continues one" in note for note in Analysis(guards()).timing.assumptions)
 
 
 def waiting_for_a_partner(event=EVENT):

@@ -193,3 +193,12 @@ def test_an_event_that_several_robots_share_a_resource_for_is_refused():
     held = replace(one, events={"low": EventSource("battery", "a/B", hold=True)}).validate()
     notes = DecisionProblem(held, reading=RUN).assumptions
     assert any("the simulation holds them" in note for note in notes)
+
+
+@pytest.mark.parametrize(("limit", "is_cut_off"), [(0.5, True), (3.0, False)])
+def test_a_timeout_that_the_optimiser_leaves_out_is_said(limit, is_cut_off):
+    plan = read_plan("plans/rendezvous/plan.json")
+    durations = {"Fetch": Duration.uniform(1.0, 2.0)}
+    plan = replace(plan, durations=durations, timeouts={"Fetch": limit})
+    notes = DecisionProblem(plan, reading=RUN).assumptions
+    assert ("no timeout cuts an action off (Fetch)" in notes) is is_cut_off
