@@ -40,6 +40,11 @@ _SLICE = {False: 10_000, True: 1_000_000}
 """Operations between two looks at the clock, plain and compiled: a tenth of a second."""
 
 
+_ROWS_AT_ONCE = 20_000
+"""Rows of the step from the markings that enable no transition (a tenth of a second); if it takes
+more, one transition after the other is left out."""
+
+
 class MarkingCounts(NamedTuple):
     """What holds of all reachable markings.
 
@@ -322,7 +327,7 @@ class _Counting:
         diagram = self._diagram
         rules = [rule for rule in (diagram.rules[t] for t in transitions) if rule is not None]
         try:
-            steps = [diagram.table.step(NO_CONDITION, Precedence(rules))]
+            steps = [diagram.table.step(NO_CONDITION, Precedence(rules), most_rows=_ROWS_AT_ONCE)]
         except TooManyCasesError:  # one by one, which is slower
             steps = [diagram.table.step(NO_CONDITION, Precedence([rule])) for rule in rules]
         diagram.machine.use(diagram.table.lists())

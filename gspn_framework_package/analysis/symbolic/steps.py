@@ -113,8 +113,10 @@ class StepTable:
         self._levels = levels
         self._known: Dict[Tuple[int, int, bool, StepRows], int] = {}
         self._steps: List[Tuple[int, int, bool, StepRows]] = [(0, 0, False, ())]
-        self._rows = 0  # of the steps so far, and before the one that is being made
-        self._rows_before = 0
+        self._rows = 0  # of the steps so far
+        self._rows_before = self._rows_allowed = (
+            0  # before the one that is being made, and most after it
+        )
         self._top: List[Set[Tuple[int, int, int, int]]] = [set() for _ in range(levels + 1)]
 
     def fire_from(self, step: int) -> None:
@@ -152,16 +154,24 @@ class StepTable:
             top_rest,
         )
 
-    def step(self, rule: FiringRule, above: Precedence, closing: bool = False) -> int:
+    def step(
+        self,
+        rule: FiringRule,
+        above: Precedence,
+        closing: bool = False,
+        most_rows: int = _MOST_ROWS,
+    ) -> int:
         """The step of a transition, or of its guard alone.
 
         :param above: the transitions that must not be enabled.
         :param closing: whether the result is closed under the transitions.
-        :raises TooManyCasesError: all steps together have too many rows.
+        :param most_rows: most rows of the step.
+        :raises TooManyCasesError: it has more, or all steps together have too many.
         """
         if above.always:
             return NO_STEP
         self._rows_before = self._rows
+        self._rows_allowed = min(self._rows + most_rows, _MOST_ROWS)
         touched = rule.guard.keys() | rule.change.keys()
         lowest = min(touched, default=self._levels + 1)
         levels = [level for level in above.levels if level > lowest and level not in touched]
@@ -215,10 +225,10 @@ class StepTable:
 
     def _count_rows(self, plan: Dict[_Gone, _Cases]) -> None:
         self._rows += sum(map(len, plan.values()))
-        if self._rows > _MOST_ROWS:
-            self._rows = self._rows_before
+        if self._rows > self._rows_allowed:
+            made, self._rows = self._rows, self._rows_before
             raise TooManyCasesError(
-                "not decided: the priorities make more than %s cases" % format(_MOST_ROWS, ",")
+                "not decided: the priorities make more than %s cases" % format(made, ",")
             )
 
     def _made(

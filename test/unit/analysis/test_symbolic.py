@@ -12,7 +12,6 @@ from benchmarks.nets import courier, flexible_manufacturing, kanban
 from gspn_framework_package.analysis.state_space.space import explore, numba_is_there
 from gspn_framework_package.analysis.symbolic import machine, markings
 from gspn_framework_package.analysis.symbolic.markings import count_markings
-from gspn_framework_package.analysis.symbolic.steps import TooManyCasesError
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats.registry import write_net
@@ -80,14 +79,7 @@ def test_many_cases_are_taken_one_by_one(monkeypatch):
     expected = count_markings(built, form=machine.PLAIN)
     assert expected.dead == 1 and expected.total == 16
 
-    one_step = markings.StepTable.step
-
-    def step(table, rule, above, closing=False):
-        if len(above.levels) > 2:
-            raise TooManyCasesError("too many")
-        return one_step(table, rule, above, closing)
-
-    monkeypatch.setattr(markings.StepTable, "step", step)
+    monkeypatch.setattr(markings, "_ROWS_AT_ONCE", 5)
     assert count_markings(built, form=machine.PLAIN)._replace(memory=0) == expected._replace(
         memory=0
     )
