@@ -308,6 +308,15 @@ class Plan:
         its own rule."""
         return self.on_failure.get(place) or self.on_failure.get("*") or FailureRule()
 
+    def fallback(self, place: int) -> int:
+        """Return the number of the transition that a robot in place number ``place`` requests when
+        its action has failed; -1 if it requests none."""
+        rule = self.failure_rule(self.net.places[place].name)
+        if rule.end is not FailureEnd.FIRE:
+            return -1
+        t = self.net.transition_number(rule.transition)
+        return t if t in self.net.consumers[place] else -1
+
     def timeout(self, place: str) -> Optional[float]:
         """Return the seconds that an action in ``place`` may take, None for no limit."""
         return self.timeouts.get(place, self.timeouts.get("*"))

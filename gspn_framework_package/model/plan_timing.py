@@ -31,6 +31,10 @@ POLICY = -1
 """In place of a transition: the action named none, and the policy decides."""
 
 
+NO_REQUEST = -2
+"""In place of a transition: none, and the policy does not decide either."""
+
+
 class PlaceTiming(NamedTuple):
     """The timing of a robot in an action place.
 
@@ -182,15 +186,9 @@ class PlanTiming:
         )
 
     def _asked_at_once(self, p: int) -> Tuple[Tuple[int, float], ...]:
-        """What a robot requests in a place without an action (``docs/semantics.md``): the policy's
-        choice if there is one, otherwise the only transition. If only event transitions leave the
-        place, it requests nothing."""
-        leaving = self._of_action[p]
-        if any(not self._net.transitions[t].timed for t in leaving):
-            return ((POLICY, 1.0),)
-        if not leaving and self.events[p]:
-            return ((POLICY, 1.0),)
-        return ((leaving[0], 1.0),) if len(leaving) == 1 else ()
+        """What a robot requests in a place without an action (``docs/semantics.md``)."""
+        asked = unnamed(self._plan, p)
+        return ((asked, 1.0),) if asked != NO_REQUEST and self._net.consumers[p] else ()
 
     def _blocked(self, p: int) -> str:
         named = self._plan.outcomes.get(self._net.places[p].name, {})
@@ -261,6 +259,16 @@ class PlanTiming:
                 "tasks from %s are alike: how long an action takes and what it names does not "
                 "depend on their data" % listed(plan.tasks.queues)
             )
+
+
+def unnamed(plan: Plan, place: int) -> int:
+    """What a robot in place number ``place`` requests whose action has named no transition:
+    :data:`POLICY` if immediate transitions leave the place, or nothing but events; otherwise the
+    only transition; :data:`NO_REQUEST` if there are several, so that its action has failed."""
+    leaving = plan.of_action(place)
+    if not leaving or any(not plan.net.transitions[t].timed for t in leaving):
+        return POLICY
+    return leaving[0] if len(leaving) == 1 else NO_REQUEST
 
 
 def why_blocked(net: Net, t: int, place: int) -> str:

@@ -180,13 +180,17 @@ class Policy:
         return "<Policy: %d rows over %d places>" % (len(self.rows), len(self.places))
 
 
+Choices = Tuple[Tuple[int, float], ...]
+"""What a robot draws from: pairs (transition index, probability)."""
+
+
 class Distribution(NamedTuple):
     """The choice that a policy gives a robot: the ``row`` that applies (its number, from 0) and
     pairs (transition index, probability), renormalised over the transitions that leave the robot's
     place. Without any pairs, the policy lets the robot wait."""
 
     row: int
-    choices: Tuple[Tuple[int, float], ...]
+    choices: Choices
 
 
 Overlap = Tuple[int, int, int]
@@ -215,6 +219,7 @@ class PolicyTable:
                 )
         self._columns = columns = [net.place_index[p] for p in policy.places]
         self._restricted: Dict[Tuple[int, int], Distribution] = {}
+        self._leaving: Dict[Tuple[Tuple[Tuple[str, float], ...], int], Choices] = {}
         self._scope: Dict[int, int] = {}  # place -> number of its scope; others: 0
         for name, k in policy.scope_numbers().items():
             if name not in net.place_index:
@@ -266,14 +271,24 @@ class PolicyTable:
         if self._waits:
             silent = self._waits.get(self._scope.get(place, 0))
             waits = silent.find(marking) if silent is not None else None
-            if waits is not None and (number is None or self._goes_first(waits, number)):
+            if waits is not None and (
+                number is None or self.precedence(waits) < self.precedence(number)
+            ):
                 number = waits
         if number is None:
             return None
         key = (number, place)
         if key not in self._restricted:
-            self._restricted[key] = self._restrict(number, place)
+            self._restricted[key] = Distribution(number, self.choices_of_row(number, place))
         return self._restricted[key]
+
+    def choices(self, marking: Sequence[int], place: int) -> Optional[Choices]:
+        """Return what a robot in ``place`` draws from at ``marking``; nothing if the policy lets it
+        wait, None if no row of its scope matches, so that the policy says nothing."""
+        found = self.distribution(marking, place)
+        if found is not None:
+            return found.choices
+        return () if self.matches(marking, place) else None
 
     def matches(self, marking: Sequence[int], place: int) -> bool:
         """Whether any row of the scope of ``place`` matches ``marking``, whichever place of that
@@ -287,42 +302,58 @@ class PolicyTable:
 
     def rows_of(self, place: int) -> Sequence[int]:
         """The numbers of the rows in the scope of ``place``."""
-        if not self.policy.scopes:
-            return range(len(self.policy.rows))
-        scope = self._scope.get(place, 0)
-        return [number for number, of in enumerate(self._row_scope) if of == scope]
+        numbers = range(len(self.policy.rows))
+        return [n for n in numbers if self.applies(n, place)] if self.policy.scopes else numbers
+
+    def applies(self, number: int, place: int) -> bool:
+        """Whether the row ``number`` is in the scope of ``place``."""
+        return self._row_scope[number] == self._scope.get(place, 0)
 
     def in_order(
         self, place: int, strict: bool
-    ) -> Iterator[Tuple[Tuple[Optional[int], ...], Tuple[Tuple[int, float], ...]]]:
+    ) -> Iterator[Tuple[Tuple[Optional[int], ...], Choices]]:
         """The rows that decide for a robot in ``place``, by precedence: their counts and choices,
         as in :meth:`distribution`. Then, unless ``strict``, the other rows of its scope, where it
         waits."""
-        rows = self.policy.rows
-        found = {n: self._restrict(n, place).choices for n in self.rows_of(place)}
-        decide = [n for n in found if found[n] or not rows[n].choices]
-        decide.sort(key=lambda n: rows[n].counts.count(None))
-        others = [] if strict else [n for n in found if not found[n] and rows[n].choices]
+        rows, decide = self.policy.rows, self.deciding(place)
+        others = [] if strict else sorted(set(self.rows_of(place)).difference(decide))
         seen: Set[Tuple[Optional[int], ...]] = set()
         for n in (*decide, *others):
             if rows[n].counts not in seen:
                 seen.add(rows[n].counts)
-                yield rows[n].counts, found[n]
+                yield rows[n].counts, self.choices_of_row(n, place)
 
-    def _goes_first(self, number: int, other: int) -> bool:
-        """Whether the row ``number`` takes precedence over the row ``other``."""
-        rows = self.policy.rows
-        wildcards = rows[number].counts.count(None), rows[other].counts.count(None)
-        return wildcards[0] < wildcards[1] or (wildcards[0] == wildcards[1] and number < other)
+    def speaking(self, place: int) -> List[int]:
+        """Return the numbers of the rows that choose something for a robot in ``place``."""
+        index = self._by_place.get(place)
+        return index.numbers() if index is not None else []
 
-    def _restrict(self, number: int, place: int) -> Distribution:
-        leaving = []
-        for name, probability in self.policy.rows[number].choices:
-            t = self.net.transition_index[name]
-            if probability > 0 and any(p == place for p, _ in self.net.inputs[t]):
-                leaving.append((t, probability))
-        total = math.fsum(p for _, p in leaving)
-        return Distribution(number, tuple((t, p / total) for t, p in leaving))
+    def waiting(self, place: int) -> List[int]:
+        """Return the numbers of the rows that let a robot in ``place`` wait."""
+        index = self._waits.get(self._scope.get(place, 0))
+        return index.numbers() if index is not None else []
+
+    def deciding(self, place: int) -> List[int]:
+        """Return the numbers of the rows of either kind, in the order of precedence."""
+        return sorted([*self.speaking(place), *self.waiting(place)], key=self.precedence)
+
+    def precedence(self, number: int) -> Tuple[int, int]:
+        """Return the precedence of a row: of those that match, the smallest decides."""
+        return self.policy.rows[number].counts.count(None), number
+
+    def choices_of_row(self, number: int, place: int) -> Choices:
+        """Return what a robot in ``place`` draws from by the row ``number``, if that decides."""
+        row = self.policy.rows[number]
+        key = (row.choices, place)
+        if key not in self._leaving:
+            leaving = []
+            for name, probability in row.choices:
+                t = self.net.transition_index[name]
+                if probability > 0 and any(p == place for p, _ in self.net.inputs[t]):
+                    leaving.append((t, probability))
+            total = math.fsum(p for _, p in leaving)
+            self._leaving[key] = tuple((t, p / total) for t, p in leaving)
+        return self._leaving[key]
 
     def overlaps(self, limit: int = 100) -> List[Overlap]:
         """Return at most ``limit`` pairs of rows whose precedence depends only on file order, as
@@ -371,6 +402,10 @@ class _RowIndex:
         if first != number:
             self._doubles.append((first, number))
         self._levels = self._tree = None
+
+    def numbers(self) -> List[int]:
+        found = [number for rows in self._groups.values() for number in rows.values()]
+        return found + [later for _, later in self._doubles]
 
     def find(self, marking: Sequence[int]) -> Optional[int]:
         if len(self._groups) > MANY_GROUPS:

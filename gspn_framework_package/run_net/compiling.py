@@ -34,7 +34,7 @@ from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.failure import FailureEnd, FailureRule
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.model.plan_timing import POLICY, PlaceTiming, PlanTiming
+from gspn_framework_package.model.plan_timing import POLICY, PlaceTiming, PlanTiming, unnamed
 from gspn_framework_package.run_net.columns import (
     End,
     EventClock,
@@ -151,15 +151,12 @@ class _Compiler:
                     "every robot in %s does what most of them do there, since states do not "
                     "distinguish robots (the simulation does)" % place
                 )
-        leaving = self._plan.of_action(p)
-        if len(leaving) == 1 and self._plan.net.transitions[leaving[0]].timed:
-            # who names nothing asks for the only transition that there is
-            asked: Dict[int, float] = {}
-            for t, v in team.outcomes:
-                t = leaving[0] if t == POLICY else t
-                asked[t] = asked.get(t, 0) + v
-            team = team._replace(outcomes=tuple(asked.items()))
-        return team
+        default = unnamed(self._plan, p)
+        asked: Dict[int, float] = {}
+        for t, v in team.outcomes:
+            t = default if t == POLICY else t
+            asked[t] = asked.get(t, 0) + v
+        return team._replace(outcomes=tuple(asked.items()))
 
     def _of_action(self, p: int) -> List[int]:
         """The transitions that leave place ``p`` without an event."""
@@ -182,18 +179,8 @@ class _Compiler:
         """Those of the plan's outcomes in place ``p`` that say what is possible there."""
         consumers = self._net.consumers[p]
         return [
-            (t, v)
-            for t, v in self._timing[p].outcomes
-            if v > 0 and (t in consumers if t != POLICY else not self._is_ambiguous(p))
+            (t, v) for t, v in self._timing[p].outcomes if v > 0 and (t == POLICY or t in consumers)
         ]
-
-    def _is_ambiguous(self, p: int) -> bool:
-        """Whether several exponential transitions leave place ``p``, and no other: an action that
-        names none has failed."""
-        leaving = self._of_action(p)
-        return len(leaving) > 1 and all(
-            self._net.transitions[t].timed for t in self._net.consumers[p]
-        )
 
     def _failure(self, p: int) -> float:
         """The probability that an attempt in place ``p`` fails: it is cut off, or does not succeed,
@@ -226,11 +213,7 @@ class _Compiler:
     def _fallback(self, p: int) -> int:
         """The transition that a robot in place ``p`` asks for when its action has failed; -1: it
         asks for none."""
-        rule = self._rule(p)
-        if rule.end is not FailureEnd.FIRE:
-            return -1
-        t = self._net.transition_number(rule.transition)
-        return t if t in self._net.consumers[p] else -1
+        return self._plan.fallback(self._plan.net.place_number(self._net.places[p].name))
 
     def _races(self, p: int) -> bool:
         """Whether place ``p`` is not split although its action takes time: what leaves it needs

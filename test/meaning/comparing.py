@@ -21,7 +21,7 @@ from gspn_framework_package.analysis.decisions.aims import Objective, Request
 from gspn_framework_package.analysis.decisions.optimise import optimise
 from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.plan.reading import NET, RUN
-from gspn_framework_package.analysis.simulation import machine, plan_tables, simulate
+from gspn_framework_package.analysis.simulation import machine, policy_book, simulate
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import RefusedError
@@ -229,11 +229,11 @@ def simulation_and_run(case: Case) -> List[str]:
     """The kernel against the run."""
 
     # small plans have few rows: look in every other one's as if they were many
-    few = 0 if int(case.name.split()[-1]) % 2 else plan_tables.FEW_ENTRIES
+    few = 0 if int(case.name.split()[-1]) % 2 else policy_book.FEW_ENTRIES
 
     def measure(runs: int, seed: int) -> Any:
         with mock.patch.object(machine, "may_compile", lambda: False), mock.patch.object(
-            plan_tables, "FEW_ENTRIES", few
+            policy_book, "FEW_ENTRIES", few
         ):
             samples = simulate(
                 case.plan,

@@ -10,11 +10,18 @@ from typing import Any, List, Sequence
 
 from gspn_framework_package.analysis.decisions import building, decision_net, playing
 from gspn_framework_package.analysis.plan import edited_nets, markings, structure
-from gspn_framework_package.analysis.simulation import kernel, plan_run, plan_tables, state_cache
+from gspn_framework_package.analysis.simulation import (
+    kernel,
+    net_arrays,
+    plan_run,
+    plan_tables,
+    policy_book,
+    state_cache,
+)
 from gspn_framework_package.analysis.state_space import rated_graph
 from gspn_framework_package.execution import environment, token_game, turn, virtual_time
 from gspn_framework_package.execution import rules as run_queries
-from gspn_framework_package.model import net, policy
+from gspn_framework_package.model import net, plan, policy
 from gspn_framework_package.run_net import compiling, requests, run_net, steps
 from meaning.mutant import Mutant
 
@@ -360,32 +367,32 @@ _TABLE: Sequence[Any] = (
         "model",
         "rows that let robots wait take precedence",
         ["policy_rows"],
-        (policy.PolicyTable._goes_first, "return wildcards", "return True or wildcards"),
+        (
+            policy.PolicyTable.distribution,
+            "self.precedence(waits) < self.precedence(number)",
+            "True",
+        ),
     ),
     (
         "rows",
-        "simulation",
+        "model",
         "in file order, whatever their cells",
         ["policy_rows"],
-        (B._book, "(-len(cells[entry_row[e]]), entry_row[e])", "entry_row[e]"),
+        (policy.PolicyTable.precedence, "count(None), number", "count(None) * 0, number"),
     ),
     (
         "rows",
-        "simulation",
+        "model",
         "by their cells, then the last of the file",
         ["policy_rows"],
-        (
-            B._book,
-            "(-len(cells[entry_row[e]]), entry_row[e])",
-            "(-len(cells[entry_row[e]]), -entry_row[e])",
-        ),
+        (policy.PolicyTable.precedence, "count(None), number", "count(None), -number"),
     ),
     (
         "rows",
         "simulation",
         "of many rows, those of the fewest cells",
         ["policy_rows"],
-        (B._book, "key=lambda m: -len(m.cells)", "key=lambda m: len(m.cells)"),
+        (policy_book._row_arrays, "in groups.items()]", "in list(groups.items())[::-1]]"),
     ),
     (
         "rows",
@@ -462,7 +469,7 @@ _TABLE: Sequence[Any] = (
         "weights decide",
         ["policy_rows"],
         (K.weigh, "sizes[STRICT] == 0", "sizes[STRICT] < 2"),
-        (B._book, "need_all = not plan.strict", "need_all = True"),
+        (policy_book.policy_book, "if not plan.strict and not", "if not"),
     ),
     (
         "strict",
@@ -738,7 +745,7 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "a partner that gets done is not noticed",
         ["candidates"],
-        (B.PlanTables._joins, "groups += [t, *(transitions + q for q, _ in arcs_of[t])]", "pass"),
+        (B.PlanTables._joins, "groups += [t, *self._policy_groups(t)]", "pass"),
     ),
     # -- the marking
     (
@@ -771,7 +778,7 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "there are none",
         ["capacities"],
-        (B.PlanTables._rules, "if change > 0 and capacity is not None:", "if False:"),
+        (net_arrays.marking_tests, "if change > 0 and capacity is not None:", "if False:"),
     ),
     (
         "capacities",
@@ -779,9 +786,9 @@ _TABLE: Sequence[Any] = (
         "who stays needs room as well",
         ["capacities"],
         (
-            B.PlanTables._rules,
-            "for p, change in net.effect(t):\n                capacity",
-            "for p, change in net.outputs[t]:\n                capacity",
+            net_arrays.marking_tests,
+            "for p, change in net.effect(t):",
+            "for p, change in net.outputs[t]:",
         ),
     ),
     (
@@ -804,9 +811,9 @@ _TABLE: Sequence[Any] = (
         "one more is allowed",
         ["inhibitors"],
         (
-            B.PlanTables._rules,
-            "found += [p, zero, -1, 1 - weight]",
-            "found += [p, zero, -1, -weight]",
+            net_arrays.marking_tests,
+            "[p, zero, -1, 1 - weight]",
+            "[p, zero, -1, -weight]",
         ),
     ),
     (
@@ -815,9 +822,9 @@ _TABLE: Sequence[Any] = (
         "that they end is not noticed",
         ["inhibitors"],
         (
-            B.PlanTables._rules,
-            "falling[p] += groups\n            for p, change",
-            "pass\n            for p, change",
+            B.PlanTables._changes,
+            "(rising if sign > 0 else falling)[p] += groups",
+            "(rising if sign > 0 else [[] for _ in falling])[p] += groups",
         ),
     ),
     (
@@ -1043,8 +1050,8 @@ _TABLE: Sequence[Any] = (
         ["events"],
         (
             B.PlanTables._interrupts,
-            "for p, weight in net.inputs[t]:\n                found += [p, zero, 1, weight]",
-            "pass",
+            "marking_tests(net, t, self._zero) for t",
+            "[test for test in marking_tests(net, t, self._zero) if test[2] < 0] for t",
         ),
     ),
     (
@@ -1176,7 +1183,7 @@ _TABLE: Sequence[Any] = (
         "chain",
         "the rule fires nothing",
         ["failures"],
-        (C._fallback, "return t if t in self._net.consumers[p] else -1", "return -1"),
+        (plan.Plan.fallback, "return t if t in self.net.consumers[place] else -1", "return -1"),
     ),
     (
         "failures",
@@ -1277,7 +1284,7 @@ _TABLE: Sequence[Any] = (
         "check",
         "no one goes another way",
         ["failures"],
-        (structure.may_be_named, "rule.end is FailureEnd.FIRE and", "False and"),
+        (structure.may_be_named, "t in map(plan.fallback, asking)", "False"),
     ),
     # -- losses
     (

@@ -12,7 +12,7 @@ from gspn_framework_package.analysis.decisions.building import Stages
 from gspn_framework_package.analysis.decisions.decision_net import Group, Stage
 from gspn_framework_package.analysis.plan.markings import distinct_rows
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.model.policy import Policy
+from gspn_framework_package.model.policy import Choices, Policy
 from gspn_framework_package.run_net.requests import Requests, first_to_fire
 
 ROUNDING = 1e-12
@@ -31,10 +31,6 @@ class Play(NamedTuple):
     shares: Floats
     waits: Floats
     unsettled: Booleans
-
-
-Choices = Tuple[Tuple[int, float], ...]
-"""What a robot draws from: pairs (number of a transition of the plan's net, probability)."""
 
 
 class Answers:

@@ -32,15 +32,11 @@ def who_decides(plan: Plan, reading: str, may_wait: AbstractSet[str]) -> Dict[st
     :raises UsageError: ``may_wait`` names a place in which no robot can wait.
     """
     net = plan.net
-    spoken = _spoken_of(plan)
+    table = plan.policy.bind(net)
     found: Dict[str, Decider] = {}
     for name in plan.action_places:
-        events = plan.interrupts(name)
-        leaving = [
-            t
-            for t in net.consumers[net.place_number(name)]
-            if net.transitions[t].name not in events
-        ]
+        p = net.place_number(name)
+        leaving = plan.of_action(p)
         immediate = [t for t in leaving if not net.transitions[t].timed]
         if not immediate:
             continue
@@ -51,7 +47,8 @@ def who_decides(plan: Plan, reading: str, may_wait: AbstractSet[str]) -> Dict[st
                 hint="let the policy choose an immediate transition into a separate place"
                 + (", or give its outcomes" if reading == RUN else ""),
             )
-        found[name] = _decider(plan, name, immediate, reading, name in may_wait, name in spoken)
+        spoken = bool(table.speaking(p) or table.waiting(p))
+        found[name] = _decider(plan, name, immediate, reading, name in may_wait, spoken)
     for name in sorted(may_wait):
         if name not in found:
             raise UsageError(
@@ -106,14 +103,3 @@ def _decider(
     if plan.strict:
         return Decider(True, "the plan is strict, so no weights decide")
     return Decider(False, "only the weights decide there", by_weight)
-
-
-def _spoken_of(plan: Plan) -> Dict[str, None]:
-    """The places to which rows of the policy apply; a row that lets robots wait applies to all."""
-    net = plan.net
-    if any(not row.choices for row in plan.policy.rows):
-        return dict.fromkeys(plan.action_places)
-    chosen = {t for row in plan.policy.rows for t, v in row.choices if v > 0}
-    return {
-        net.places[p].name: None for t in chosen for p, _ in net.inputs[net.transition_number(t)]
-    }

@@ -31,6 +31,7 @@ from gspn_framework_package.analysis.plan.structure import (
 from gspn_framework_package.analysis.state_space.space import StateSpace, explore
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.model.plan import LostKind, Plan
+from gspn_framework_package.model.plan_timing import POLICY, PlanTiming
 from gspn_framework_package.model.policy import Distribution, PolicyTable
 
 
@@ -81,6 +82,7 @@ class PlanMarkings:
             net, limit=limit, untimed=True, progress=progress, cancel=cancel, seconds=seconds
         )
         self._table = plan.policy.bind(plan.net)
+        self._timing = PlanTiming(plan)
         self._number = {p: plan.net.place_index[place.name] for p, place in enumerate(net.places)}
         self._sources = self.space.sources
         self._is_loss = self.space.transitions >= self._own
@@ -224,7 +226,7 @@ class PlanMarkings:
         """
         space, sources, targets = self.space, self._sources, self.space.targets
         requests = {
-            p: requested(self.plan, self.original(p))
+            p: requested(self.plan, self._timing, self.original(p))
             for p, place in enumerate(self.net.places)
             if place.name not in self.plan.resource_places
         }
@@ -266,8 +268,7 @@ class PlanMarkings:
         """
         plan = self.plan
         policy_asked = {
-            p: plan.outcomes.get(self.net.places[p].name, {"": 1.0}).get("", 0.0) > 0
-            for p in requests
+            p: POLICY in dict(self._timing.places[self.original(p)].outcomes) for p in requests
         }
         never = [
             t

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Dict, Iterable, List, NamedTuple, Optional, Set, Tuple
+from typing import Iterable, List, NamedTuple, Optional, Set, Tuple
 
 from gspn_framework_package.model.action import outcomes_of
-from gspn_framework_package.model.failure import FailureEnd
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import LostKind, Plan
-from gspn_framework_package.model.plan_timing import PlanTiming
+from gspn_framework_package.model.plan_timing import NO_REQUEST, POLICY, PlanTiming, unnamed
 
 
 class RobotFlow(NamedTuple):
@@ -66,35 +65,22 @@ def idle_places(plan: Plan, *, everybody: bool = False) -> Set[int]:
 def asked_at_once(plan: Plan, place: int) -> Optional[int]:
     """The exponential transition that a robot without an action requests immediately in place
     number ``place``; None if it requests none."""
-    net = plan.net
-    leaving = plan.of_action(place)
-    if not leaving or any(not net.transitions[t].timed for t in net.consumers[place]):
-        return None
-    if len(leaving) == 1:
-        return leaving[0]
-    rule = plan.failure_rule(net.places[place].name)  # none is named: the action has failed
-    if rule.end is not FailureEnd.FIRE:
-        return None
-    t = net.transition_number(rule.transition)
-    return t if t in net.consumers[place] else None
+    asked = unnamed(plan, place)
+    if asked == NO_REQUEST:  # the action has failed
+        asked = plan.fallback(place)
+    return asked if asked >= 0 else None
 
 
-def requested(plan: Plan, place: int) -> Set[int]:
+def requested(plan: Plan, timing: PlanTiming, place: int) -> Set[int]:
     """Numbers of the transitions that robots in place number ``place`` request by themselves, not
     by the policy: what the action may name, according to the plan, or the only exponential one."""
-    net = plan.net
-    name = net.places[place].name
-    leaving = plan.of_action(place)
-    decides = any(not net.transitions[t].timed for t in net.consumers[place])
-    only = set(leaving) if len(leaving) == 1 and not decides else set()
-    found = only if place in idle_places(plan) else set()
+    outcomes = {t for t, _ in timing.places[place].outcomes}
     if place in idle_places(plan, everybody=True):
-        return found
-    outcomes = plan.outcomes.get(name)
-    if outcomes is None:
-        return found if decides else set(leaving)
-    named = {t for t in leaving if outcomes.get(net.transitions[t].name, 0.0) > 0}
-    return found | named | (only if outcomes.get("", 0.0) > 0 else set())
+        outcomes = {POLICY}
+    elif place in idle_places(plan):
+        outcomes.add(POLICY)
+    asked = {unnamed(plan, place) if t == POLICY else t for t in outcomes}
+    return asked.intersection(plan.of_action(place))
 
 
 def may_be_named(plan: Plan, t: int, asking: Iterable[int]) -> bool:
@@ -105,15 +91,13 @@ def may_be_named(plan: Plan, t: int, asking: Iterable[int]) -> bool:
     if plan.on_lost.kind is LostKind.FIRE and plan.on_lost.transition == name:
         return True
     places = {plan.net.places[p].name for p in asking}
-    for place in places:
-        rule = plan.failure_rule(place)
-        if plan.outcomes.get(place, {}).get(name, 0.0) > 0 or (
-            rule.end is FailureEnd.FIRE and rule.transition == name
-        ):
-            return True
-    return any(
-        place in places and name in outcomes_of(action).values()
-        for place, action in plan.bindings()
+    return (
+        t in map(plan.fallback, asking)
+        or any(plan.outcomes.get(place, {}).get(name, 0.0) > 0 for place in places)
+        or any(
+            place in places and name in outcomes_of(action).values()
+            for place, action in plan.bindings()
+        )
     )
 
 
@@ -220,89 +204,63 @@ class PolicyCover:
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
+        self._table = plan.policy.bind(plan.net)
         self._robots = max(
             len(plan.robots),
             sum(p.tokens for p in plan.net.places if p.name not in plan.resource_places),
         )
-        numbers = plan.policy.scope_numbers()
-        self._scope = {plan.net.place_number(name): k for name, k in numbers.items()}
-        row_scope = plan.policy.row_scopes()
         # the rows that constrain at most one place: only those can match whatever the other places
         # contain
-        self._few_cells: Dict[int, List[Tuple[str, int]]] = {}
-        self._few_of: Dict[int, List[int]] = {}  # scope -> those of its rows
-        for number, row in enumerate(plan.policy.rows):
-            if row.counts.count(None) >= len(row.counts) - 1:
-                self._few_cells[number] = [
-                    (p, c) for p, c in zip(plan.policy.places, row.counts) if c is not None
-                ]
-                self._few_of.setdefault(row_scope[number], []).append(number)
-        self._spoken: Dict[int, List[int]] = {}
-        self._waits: Dict[int, List[int]] = {}  # scope -> its rows without choices
-        speaks_of: Dict[Tuple[Tuple[str, float], ...], Set[int]] = {}
-        for number, row in enumerate(plan.policy.rows):
-            if not row.choices:
-                self._waits.setdefault(row_scope[number], []).append(number)
-            if row.choices not in speaks_of:
-                speaks_of[row.choices] = {
-                    p
-                    for name, probability in row.choices
-                    if probability > 0
-                    for p, _ in plan.net.inputs[plan.net.transition_number(name)]
-                }
-            for p in speaks_of[row.choices]:
-                if self._scope.get(p, 0) == row_scope[number]:
-                    self._spoken.setdefault(p, []).append(number)
+        self._few_cells = {
+            number: [(p, c) for p, c in zip(plan.policy.places, row.counts) if c is not None]
+            for number, row in enumerate(plan.policy.rows)
+            if row.counts.count(None) >= len(row.counts) - 1
+        }
 
     def matches(self, place: int) -> bool:
         """Whether some row that applies to ``place`` matches every marking with a robot there."""
-        return self._by_own_count(place, self._few_of.get(self._scope.get(place, 0), []))
+        return self._by_own_count(
+            place, [n for n in self._few_cells if self._table.applies(n, place)]
+        )
 
     def speaks(self, place: int) -> bool:
         """Whether, in every marking with a robot in ``place``, some row matches and decides for
         ``place``."""
-        return self._by_own_count(place, self._spoken.get(place, []))
+        return self._by_own_count(place, self._table.speaking(place))
 
     def never_speaks(self, place: int) -> bool:
         """Whether no row decides for ``place`` although some row always matches: robots there wait
         indefinitely."""
-        return place not in self._spoken and self.matches(place)
+        return not self._table.speaking(place) and self.matches(place)
 
     def always_moves(self, place: int) -> bool:
         """Whether the policy moves a robot out of ``place`` in every marking, whatever the other
         robots do: it always decides for ``place``, chooses only transitions that one robot alone
         can fire, and no row lets robots wait there."""
-        net = self._plan.net
-        choices = {self._plan.policy.rows[number].choices for number in self._spoken.get(place, [])}
-        chosen = {
-            net.transition_number(name)
-            for choice in choices
-            for name, probability in choice
-            if probability > 0
-        }
         return (
             self.speaks(place)
             and not self._may_wait(place)
             and all(
-                net.fires_alone(t, place)
-                for t in chosen
-                if any(p == place for p, _ in net.inputs[t])
+                self._plan.net.fires_alone(t, place)
+                for number in self._table.speaking(place)
+                for t, _ in self._table.choices_of_row(number, place)
             )
         )
 
     def _may_wait(self, place: int) -> bool:
         """Whether a row without choices might apply to ``place``, which other rows always cover."""
         rows = self._plan.policy.rows
-        always = [n for n in self._spoken[place] if all(c is None for c in rows[n].counts)]
-        last = always[0] if always else math.inf
+        spoken = self._table.speaking(place)
+        always = [n for n in spoken if all(c is None for c in rows[n].counts)]
+        last = min(always, default=math.inf)
         name = self._plan.net.places[place].name
-        for number in self._waits.get(self._scope.get(place, 0), []):
+        for number in self._table.waiting(place):
             if rows[number].counts.count(None) < len(rows[number].counts):
                 cells = dict(zip(self._plan.policy.places, rows[number].counts))
                 if cells.get(name) != 0:
                     return True
             elif number < last and not self._by_own_count(
-                place, [n for n in self._spoken[place] if n not in always]
+                place, [n for n in spoken if n not in always]
             ):
                 return True
         return False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
@@ -137,10 +138,35 @@ class KernelRun:
         return state._replace(counts=state.counts._replace(spent=rows[0], spent_from=rows[1]))
 
 
-def first_rows(marking: Sequence[int]) -> Any:
-    """The initial start of each place's row of recorded times."""
+def first_counts(marking: Sequence[int], more: int) -> kernel.CountArrays:
+    """The counts at the start of a run: those of its marking, then that many of 0."""
     rows = [min(max(FIRST_ROW, n + 2), kernel.LONGEST_ROW) for n in marking]
-    return np.cumsum([0, *rows]).astype(np.int64)
+    return kernel.CountArrays(
+        level=np.array([*marking, *[0] * more], dtype=np.int64),
+        since=real(len(marking)),
+        area=real(len(marking)),
+        spent=real(sum(rows)),
+        spent_from=np.cumsum([0, *rows]).astype(np.int64),
+    )
+
+
+def first_clocks() -> Any:
+    """The clocks at the start of a run, in which nothing is due."""
+    clocks = real(kernel.CLOCKS)
+    clocks[kernel.ENVIRONMENT_AT] = clocks[kernel.LOSS_AT] = math.inf
+    return clocks
+
+
+def sum_tree(values: Sequence[float]) -> Any:
+    """The tree of sums of some values."""
+    leaves = 1
+    while leaves < len(values):
+        leaves *= 2
+    tree = real(2 * leaves)
+    tree[leaves : leaves + len(values)] = values
+    for i in range(leaves - 1, 0, -1):
+        tree[i] = tree[2 * i] + tree[2 * i + 1]
+    return tree
 
 
 def whole_numbers(size: int, fill: int = 0) -> Any:

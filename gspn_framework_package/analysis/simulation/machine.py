@@ -9,7 +9,7 @@ import inspect
 import os
 from collections import Counter
 from functools import lru_cache
-from typing import Any, Callable, Dict, Iterator, List, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Sequence, Tuple
 
 import numpy as np
 
@@ -129,3 +129,13 @@ def ragged(parts: List[List[Any]], dtype: Any = np.int64) -> Tuple[Any, Any]:
     np.cumsum([len(part) for part in parts], out=offsets[1:])
     flat = [value for part in parts for value in part] or [0]
     return offsets, np.array(flat, dtype=dtype)
+
+
+def integers(values: Sequence[int]) -> Any:
+    """Whole numbers as an array; never empty, since numba needs its type."""
+    return np.array(values if len(values) else [0], dtype=np.int64)
+
+
+def floats(values: Sequence[float]) -> Any:
+    """The same for floats."""
+    return np.array(values if len(values) else [0.0], dtype=np.float64)

@@ -3,16 +3,17 @@ Python: the start, and the loss of a robot."""
 
 from __future__ import annotations
 
-import math
-from typing import Any, Dict, List
+from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
 
 from gspn_framework_package.analysis.simulation import kernel
 from gspn_framework_package.analysis.simulation.kernel_run import (
     KernelRun,
-    first_rows,
+    first_clocks,
+    first_counts,
     real,
+    sum_tree,
     whole_numbers,
 )
 from gspn_framework_package.analysis.simulation.plan_tables import PlanTables
@@ -170,86 +171,23 @@ class PlanRun(KernelRun):
         kernel.book_times(self.now, len(self.net.places), self.state.counts)
 
 
-# In one piece: a net with clocks, compiled from the plan, is to replace it
 def _new_state(tables: PlanTables) -> kernel.PlanState:
     """The state before the robots enter their first places."""
-    net = tables.net
-    places, transitions, arcs = len(net.places), len(net.transitions), len(tables.arcs)
-    groups, lists, room = transitions + places, arcs + places, tables.room
-    robots = tables.plan.robots
-    count = len(robots)
+    net, room = tables.net, tables.room
+    places, transitions = len(net.places), len(net.transitions)
+    groups, lists = transitions + places, len(tables.arcs) + places
     marking = [place.tokens if tables.is_resource[p] else 0 for p, place in enumerate(net.places)]
-    at = [net.place_index[robot.place] for robot in robots]
-    for p in at:
-        marking[p] += 1
-    level = whole_numbers(places + lists + 1)
-    level[:places] = marking
-    numbers = whole_numbers(kernel.NUMBERS)
-    numbers[kernel.ACTIVE] = count
-    numbers[kernel.PENDING] = count
-    numbers[kernel.CHECK_UNTIL] = 1
-    numbers[kernel.ENVIRONMENT_DIRTY] = 1
-    numbers[kernel.LOST] = -1
-    numbers[kernel.FREE] = room - count
-    spontaneous = tables.spontaneous
-    numbers[kernel.CHANGED] = len(spontaneous)
-    changed, is_changed = whole_numbers(transitions), whole_numbers(transitions)
-    changed[: len(spontaneous)] = spontaneous
-    is_changed[spontaneous] = 1
-    clocks = real(kernel.CLOCKS)
-    clocks[kernel.ENVIRONMENT_AT] = clocks[kernel.LOSS_AT] = math.inf
-    robots_at, kind, active, active_at = (
-        whole_numbers(room),
-        whole_numbers(room),
-        whole_numbers(room),
-        whole_numbers(room),
-    )
-    robots_at[:count] = at
-    kind[:count] = tables.class_of
-    active[:count] = active_at[:count] = np.arange(count)
-    free = whole_numbers(room)
-    free[: room - count] = np.arange(room - 1, count - 1, -1)
-    pending_robot, pending_what = whole_numbers(room + 1), whole_numbers(room + 1)
-    pending_robot[:count] = np.arange(count)  # all of them enter
-    leaves = 1
-    while leaves < len(tables.environment):
-        leaves *= 2
-    tree = real(2 * leaves)
-    for i, t in enumerate(tables.environment):
-        kernel.set_leaf(tree, leaves, i, net.effective_rate(tuple(marking), t))
-    spent_from = first_rows(marking)
-    choices = max(
-        max((len(leaving) for leaving in tables.immediate_from), default=0),
-        int(np.diff(tables.book.choice_from).max()) if len(tables.book.choice_from) > 1 else 0,
-        tables.most_slots,
-        1,
-    )
-    # the events of one visit: those after a fixed time, and the next one that comes at a rate
-    most = max(map(len, tables.events_at), default=0)
-    arrivals = 2 * room * (most + 1) + 1 if most else 1
-    held = room * most + 1
+    for robot in tables.plan.robots:
+        marking[net.place_index[robot.place]] += 1
+    robots, members = _first_robots(tables)
     return kernel.PlanState(
-        numbers=numbers,
-        clocks=clocks,
+        numbers=_first_numbers(tables),
+        clocks=first_clocks(),
         random=whole_numbers(4),
-        counts=kernel.CountArrays(
-            level=level,
-            since=real(places),
-            area=real(places),
-            spent=real(int(spent_from[-1])),
-            spent_from=spent_from,
-        ),
+        counts=first_counts(marking, lists + 1),
         firings=whole_numbers(transitions),
-        robots=kernel.Robots(
-            at=robots_at,
-            phase=whole_numbers(room),
-            kind=kind,
-            failures=whole_numbers(room),
-            due_tag=whole_numbers(room),
-            due_what=whole_numbers(room),
-            visit_from=whole_numbers(room, kernel.NO_VISIT),
-        ),
-        members=kernel.Members(active, active_at, free),
+        robots=robots,
+        members=members,
         lists=kernel.Lists(
             in_list=whole_numbers(room),
             following=whole_numbers(room),
@@ -266,28 +204,93 @@ def _new_state(tables: PlanTables) -> kernel.PlanState:
             volatile=whole_numbers(groups),
             is_volatile=whole_numbers(groups),
         ),
-        choices=kernel.ChoiceArrays(
-            kernel.Candidates(whole_numbers(choices), whole_numbers(choices), real(choices)),
-            kernel.Stamps(whole_numbers(places, -1), whole_numbers(places), whole_numbers(places)),
-        ),
-        calendar=kernel.Calendar(
-            pending_robot=pending_robot,
-            pending_what=pending_what,
-            heap=new_heap(2 * room + 1),
-            queue_tag=whole_numbers(2 * room + 1),
-            queue_robot=whole_numbers(2 * room + 1),
-            arrivals=new_heap(arrivals),
-            held=kernel.Held(whole_numbers(held), whole_numbers(held), whole_numbers(held)),
-        ),
-        chance=kernel.Chance(
-            ready_ones=kernel.Ready(whole_numbers(transitions), whole_numbers(transitions, -1)),
-            changed=changed,
-            is_changed=is_changed,
-            tree=tree,
-        ),
+        choices=_no_choices(tables),
+        calendar=_first_calendar(tables),
+        chance=_first_chance(tables, marking),
         movers=whole_numbers(max(tables.most_movers, 1)),
         targets=whole_numbers(max(tables.most_movers, 1)),
         stack=real(len(tables.rules.until.operations) + 1),
+    )
+
+
+def _first_numbers(tables: PlanTables) -> Any:
+    count = len(tables.plan.robots)
+    numbers = whole_numbers(kernel.NUMBERS)
+    numbers[kernel.ACTIVE] = count
+    numbers[kernel.PENDING] = count
+    numbers[kernel.CHECK_UNTIL] = 1
+    numbers[kernel.ENVIRONMENT_DIRTY] = 1
+    numbers[kernel.LOST] = -1
+    numbers[kernel.FREE] = tables.room - count
+    numbers[kernel.CHANGED] = len(tables.spontaneous)
+    return numbers
+
+
+def _first_robots(tables: PlanTables) -> Tuple[kernel.Robots, kernel.Members]:
+    robots, room = tables.plan.robots, tables.room
+    count = len(robots)
+    at, kind, active, active_at, free = (whole_numbers(room) for _ in range(5))
+    at[:count] = [tables.net.place_index[robot.place] for robot in robots]
+    kind[:count] = tables.class_of
+    active[:count] = active_at[:count] = np.arange(count)
+    free[: room - count] = np.arange(room - 1, count - 1, -1)
+    return (
+        kernel.Robots(
+            at=at,
+            phase=whole_numbers(room),
+            kind=kind,
+            failures=whole_numbers(room),
+            due_tag=whole_numbers(room),
+            due_what=whole_numbers(room),
+            visit_from=whole_numbers(room, kernel.NO_VISIT),
+        ),
+        kernel.Members(active, active_at, free),
+    )
+
+
+def _no_choices(tables: PlanTables) -> kernel.ChoiceArrays:
+    places = len(tables.net.places)
+    most = max(
+        *map(len, tables.immediate_from),
+        *np.diff(tables.book.choice_from).tolist(),
+        tables.most_slots,
+        1,
+    )
+    return kernel.ChoiceArrays(
+        kernel.Candidates(whole_numbers(most), whole_numbers(most), real(most)),
+        kernel.Stamps(whole_numbers(places, -1), whole_numbers(places), whole_numbers(places)),
+    )
+
+
+def _first_calendar(tables: PlanTables) -> kernel.Calendar:
+    room, count = tables.room, len(tables.plan.robots)
+    pending_robot = whole_numbers(room + 1)
+    pending_robot[:count] = np.arange(count)  # all of them enter
+    # the events of one visit: those after a fixed time, and the next one that comes at a rate
+    most = max(map(len, tables.events_at), default=0)
+    arrivals = 2 * room * (most + 1) + 1 if most else 1
+    held = room * most + 1
+    return kernel.Calendar(
+        pending_robot=pending_robot,
+        pending_what=whole_numbers(room + 1),
+        heap=new_heap(2 * room + 1),
+        queue_tag=whole_numbers(2 * room + 1),
+        queue_robot=whole_numbers(2 * room + 1),
+        arrivals=new_heap(arrivals),
+        held=kernel.Held(whole_numbers(held), whole_numbers(held), whole_numbers(held)),
+    )
+
+
+def _first_chance(tables: PlanTables, marking: Sequence[int]) -> kernel.Chance:
+    transitions, spontaneous = len(tables.net.transitions), tables.spontaneous
+    changed, is_changed = whole_numbers(transitions), whole_numbers(transitions)
+    changed[: len(spontaneous)] = spontaneous
+    is_changed[spontaneous] = 1
+    return kernel.Chance(
+        ready_ones=kernel.Ready(whole_numbers(transitions), whole_numbers(transitions, -1)),
+        changed=changed,
+        is_changed=is_changed,
+        tree=sum_tree([tables.net.effective_rate(marking, t) for t in tables.environment]),
     )
 
 

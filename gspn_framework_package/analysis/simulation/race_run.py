@@ -5,7 +5,6 @@ runs as plain Python, one firing at a time."""
 
 from __future__ import annotations
 
-import math
 from typing import Dict, List, Optional, Tuple
 
 import numpy as np
@@ -13,12 +12,18 @@ import numpy as np
 from gspn_framework_package.analysis.simulation import kernel
 from gspn_framework_package.analysis.simulation.kernel_run import (
     KernelRun,
-    first_rows,
+    first_clocks,
+    first_counts,
     real,
+    sum_tree,
     whole_numbers,
 )
 from gspn_framework_package.analysis.simulation.machine import ragged
-from gspn_framework_package.analysis.simulation.plan_tables import compile_condition
+from gspn_framework_package.analysis.simulation.net_arrays import (
+    compile_condition,
+    flattened,
+    marking_tests,
+)
 from gspn_framework_package.model.condition import Condition
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Net
@@ -90,29 +95,14 @@ class RaceRun(KernelRun):
 def _arrays(net: Net, until: Optional[Condition]) -> kernel.RaceArrays:
     places = len(net.places)
     zero = places
-    tests: List[List[int]] = []
+    numbers = range(len(net.transitions))
+    tests = [marking_tests(net, t, zero) for t in numbers]
     touched: List[List[int]] = [[] for _ in net.places]
-    for t in range(len(net.transitions)):
-        found = []
-        near = []
-        for p, weight in net.inputs[t]:
-            found += [p, zero, 1, weight]
-            near.append(p)
-        for p, weight in net.inhibitors[t]:
-            found += [p, zero, -1, 1 - weight]
-            near.append(p)
-        for p, change in net.effect(t):
-            capacity = net.places[p].capacity
-            if change > 0 and capacity is not None:
-                found += [p, zero, -1, change - capacity]
-                near.append(p)
-        tests.append(found)
-        for p in dict.fromkeys(near):
+    for t in numbers:
+        for p in dict.fromkeys(test[0] for test in tests[t]):
             touched[p].append(t)
-    test_from, flat_tests = ragged(tests)
-    effect_from, effects = ragged(
-        [[n for pair in net.effect(t) for n in pair] for t in range(len(net.transitions))]
-    )
+    test_from, flat_tests = ragged(flattened(tests))
+    effect_from, effects = ragged(flattened([net.effect(t) for t in numbers]))
     touched_from, flat_touched = ragged(touched)
     operations, arguments = compile_condition(until)
     reads = whole_numbers(places)
@@ -151,42 +141,26 @@ def _arrays(net: Net, until: Optional[Condition]) -> kernel.RaceArrays:
 def _new_state(net: Net, arrays: kernel.RaceArrays) -> kernel.RaceState:
     marking = net.initial_marking
     transitions = len(net.transitions)
-    level = whole_numbers(len(marking) + 1)
-    level[:-1] = marking
-    leaves = 1
-    while leaves < transitions:
-        leaves *= 2
-    tree = real(2 * leaves)
+    immediate = [t for t, transition in enumerate(net.transitions) if not transition.timed]
+    enabled = [t for t in immediate if net.is_enabled(marking, t)]
     ready, ready_at = whole_numbers(max(transitions, 1)), whole_numbers(max(transitions, 1), -1)
+    ready[: len(enabled)] = enabled
+    ready_at[enabled] = np.arange(len(enabled))
     numbers = whole_numbers(kernel.NUMBERS)
     numbers[kernel.CHECK_UNTIL] = 1
-    n_ready = 0
-    for t, transition in enumerate(net.transitions):
-        if transition.timed:
-            tree[leaves + t] = net.effective_rate(marking, t)
-        elif net.is_enabled(marking, t):
-            ready[n_ready] = t
-            ready_at[t] = n_ready
-            n_ready += 1
-    for i in range(leaves - 1, 0, -1):
-        tree[i] = tree[2 * i] + tree[2 * i + 1]
-    numbers[kernel.READY] = n_ready
-    clocks = real(kernel.CLOCKS)
-    clocks[kernel.ENVIRONMENT_AT] = clocks[kernel.LOSS_AT] = math.inf
-    spent_from = first_rows(marking)
+    numbers[kernel.READY] = len(enabled)
     return kernel.RaceState(
         numbers=numbers,
-        clocks=clocks,
+        clocks=first_clocks(),
         random=whole_numbers(4),
-        counts=kernel.CountArrays(
-            level=level,
-            since=real(len(marking)),
-            area=real(len(marking)),
-            spent=real(int(spent_from[-1])),
-            spent_from=spent_from,
-        ),
+        counts=first_counts(marking, 1),
         firings=whole_numbers(transitions),
         ready_ones=kernel.Ready(ready, ready_at),
-        tree=tree,
+        tree=sum_tree(
+            [
+                net.effective_rate(marking, t) if transition.timed else 0.0
+                for t, transition in enumerate(net.transitions)
+            ]
+        ),
         stack=real(len(arrays.until.operations) + 1),
     )

@@ -15,12 +15,9 @@ from scipy import stats
 
 from benchmarks.policy import decision_net, random_policy
 from gspn_framework_package.analysis.simulation import kernel, machine, simulate
+from gspn_framework_package.analysis.simulation.net_arrays import compile_condition
 from gspn_framework_package.analysis.simulation.plan_run import PlanRun
-from gspn_framework_package.analysis.simulation.plan_tables import (
-    _KINDS,
-    PlanTables,
-    compile_condition,
-)
+from gspn_framework_package.analysis.simulation.plan_tables import _KINDS, PlanTables
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.action import FunctionAction
