@@ -3,7 +3,7 @@ which of several requests fires first."""
 
 from __future__ import annotations
 
-from typing import AbstractSet, Dict, List, NamedTuple, Sequence, Tuple
+from typing import AbstractSet, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -34,22 +34,31 @@ class PolicyDraws:
 
         :param ready: the immediate transitions that can fire.
         """
-        transitions = self._net.transitions
         full = self._start
         for q, count in zip(self._full, marking):
             full[q] = count
-        place = self._full[p]
-        distribution = self._table.distribution(full, place)
-        if distribution is not None:
-            choices = list(distribution.choices)
-        elif self._table.matches(full, place) or self._plan.strict:
-            return []
-        else:
+        choices: Optional[Sequence[Tuple[int, float]]] = self._table.choices(full, self._full[p])
+        if choices is None:
+            if self._plan.strict:
+                return []
             choices = [(t, self._net.value(marking, t)) for t in self._leaving[p] if t in ready]
-        floor = max([transitions[t].priority for t, _ in choices if t in ready], default=0)
-        choices = [(t, v) for t, v in choices if transitions[t].priority >= floor]
-        total = sum(v for _, v in choices)
-        return [(t, v / total) for t, v in choices if v] if total else []
+        found = candidates(self._net, choices, ready)
+        total = sum(v for _, v in found)
+        return [(t, v / total) for t, v in found if v] if total else []
+
+
+def candidates(
+    net: Net, choices: Iterable[Tuple[int, float]], ready: AbstractSet[int]
+) -> List[Tuple[int, float]]:
+    """Those of the ``choices`` (pairs of a transition and its probability, or weight) from which a
+    robot draws: none of a lower priority than one that can fire.
+
+    :param ready: the immediate transitions that can fire.
+    """
+    transitions = net.transitions
+    choices = list(choices)
+    floor = max([transitions[t].priority for t, _ in choices if t in ready], default=0)
+    return [(t, v) for t, v in choices if transitions[t].priority >= floor]
 
 
 def by_weight(net: Net, marking: Marking, candidates: Sequence[int]) -> List[Tuple[int, float]]:

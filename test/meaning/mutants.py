@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, List, Sequence
 
 from gspn_framework_package.analysis.decisions import building, decision_net, playing
-from gspn_framework_package.analysis.plan import edited_nets, markings, structure
+from gspn_framework_package.analysis.plan import edited_nets, markings, policy_answers, structure
 from gspn_framework_package.analysis.simulation import (
     kernel,
     net_arrays,
@@ -27,7 +27,7 @@ from meaning.mutant import Mutant
 
 T, R, G = turn.Turn, run_queries.Rules, token_game._Reducer
 C, S, N, M = compiling._Compiler, steps.Steps, run_net.RunNet, markings.PlanMarkings
-P = requests.PolicyDraws
+P, A = requests.PolicyDraws, policy_answers.PolicyAnswers
 K, B, D = kernel, plan_tables, decision_net.DecisionNet
 
 _TABLE: Sequence[Any] = (
@@ -306,9 +306,9 @@ _TABLE: Sequence[Any] = (
         "zero is chosen as well",
         ["policy_rows"],
         (
-            markings._Answers.chosen,
-            "not self._plan.strict and weighty",
-            "not self._plan.strict",
+            M._cross_out,
+            "not self.plan.strict and not transitions[t].is_controllable",
+            "not self.plan.strict",
         ),
     ),
     (
@@ -399,11 +399,7 @@ _TABLE: Sequence[Any] = (
         "check",
         "every row is silent",
         ["policy_rows"],
-        (
-            markings._Answers.chosen,
-            "any(chosen == t for chosen, _ in distribution.choices)",
-            "True",
-        ),
+        (M._chosen, "t in dict(choices)", "True"),
     ),
     (
         "rows of others",
@@ -421,7 +417,7 @@ _TABLE: Sequence[Any] = (
         "shared",
         "weights decide as well",
         ["policy_rows"],
-        (P.of, "self._table.matches(full, place) or", ""),
+        (P.of, "choices(full, self._full[p])", "choices(full, self._full[p]) or None"),
     ),
     (
         "rows of others",
@@ -436,18 +432,14 @@ _TABLE: Sequence[Any] = (
         "optimiser",
         "weights decide as well",
         ["policy_rows"],
-        (
-            playing.Answers.of,
-            "if distribution is None and not self._table.matches(marking, place):",
-            "if distribution is None:",
-        ),
+        (A.of, "choices(self._marking, place)", "choices(self._marking, place) or None"),
     ),
     (
         "rows of others",
         "check",
         "weights decide as well",
         ["policy_rows"],
-        (markings._Answers.chosen, "not matched and", ""),
+        (A.of, "choices(self._marking, place)", "choices(self._marking, place) or None"),
     ),
     (
         "strict",
@@ -461,7 +453,7 @@ _TABLE: Sequence[Any] = (
         "shared",
         "weights decide",
         ["policy_rows"],
-        (P.of, " or self._plan.strict:", ":"),
+        (P.of, "if self._plan.strict:", "if False:"),
     ),
     (
         "strict",
@@ -476,14 +468,14 @@ _TABLE: Sequence[Any] = (
         "optimiser",
         "weights decide",
         ["policy_rows"],
-        (playing.Answers.of, "() if self._plan.strict else weights", "weights"),
+        (playing.Answers.of, "if not self._plan.strict:", "if True:"),
     ),
     (
         "strict",
         "check",
         "weights decide",
         ["policy_rows"],
-        (markings._Answers.chosen, "not self._plan.strict and", ""),
+        (M._cross_out, "not self.plan.strict and", ""),
     ),
     (
         "priority of candidates",
@@ -497,7 +489,11 @@ _TABLE: Sequence[Any] = (
         "shared",
         "does not count",
         ["policy_rows"],
-        (P.of, "max([transitions[t].priority for t, _ in choices if t in ready], default=0)", "0"),
+        (
+            requests.candidates,
+            "max([transitions[t].priority for t, _ in choices if t in ready], default=0)",
+            "0",
+        ),
     ),
     (
         "priority of candidates",
@@ -505,17 +501,6 @@ _TABLE: Sequence[Any] = (
         "does not count",
         ["policy_rows"],
         (K.weigh, "if priority[transitions[k]] < floor:", "if priority[transitions[k]] < 0:"),
-    ),
-    (
-        "priority of candidates",
-        "optimiser",
-        "does not count",
-        ["policy_rows"],
-        (
-            playing._Player._drawn,
-            "top = priority == highest[stages.sources[arcs]]",
-            "top = priority > -5",
-        ),
     ),
     # -- draws
     (

@@ -36,7 +36,7 @@ from gspn_framework_package.analysis.decisions.solving.evaluation import Evaluat
 from gspn_framework_package.analysis.decisions.solving.graphs import reaching, rows_toward
 from gspn_framework_package.analysis.decisions.solving.layers import arrows_of
 from gspn_framework_package.analysis.decisions.solving.solved import Solved
-from gspn_framework_package.analysis.plan.markings import distinct_rows
+from gspn_framework_package.analysis.plan.policy_answers import distinct_rows
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError, RefusedError
 

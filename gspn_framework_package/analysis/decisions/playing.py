@@ -10,10 +10,10 @@ import numpy as np
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
 from gspn_framework_package.analysis.decisions.building import Stages
 from gspn_framework_package.analysis.decisions.decision_net import Group, Stage
-from gspn_framework_package.analysis.plan.markings import distinct_rows
+from gspn_framework_package.analysis.plan.policy_answers import PolicyAnswers, distinct_rows
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.policy import Choices, Policy
-from gspn_framework_package.run_net.requests import Requests, first_to_fire
+from gspn_framework_package.run_net.requests import Requests, candidates, first_to_fire
 
 ROUNDING = 1e-12
 """A probability below this is a rounding error."""
@@ -40,45 +40,23 @@ class Answers:
     """
 
     def __init__(self, plan: Plan, policy: Policy, stages: Stages) -> None:
+        def counts(p: int, states: Indices) -> Indices:
+            q = stages.net.place_of[p]
+            tokens = plan.net.places[p].tokens
+            return stages.space.column(q, states) if q >= 0 else np.full(len(states), tokens)
+
         self._plan = plan
-        self._policy = policy
-        self._space = stages.space
-        self._table = policy.bind(plan.net)
-        place_of = stages.net.place_of
-        numbers = [plan.net.place_number(name) for name in policy.places]
-        self._columns = [(p, place_of[p]) for p in numbers]
+        self._rows = PolicyAnswers(plan.net, policy, counts)
 
     def of(self, place: int, states: Indices) -> Tuple[Indices, List[Choices]]:
         """The number of the answer to a robot in ``place`` for each of ``states``, and the answers.
         The first is that the weights decide."""
+        number, answers = self._rows.of(place, states)
         net = self._plan.net
-        weights = tuple(
-            (t, net.transitions[t].number)
-            for t in net.consumers[place]
-            if not net.transitions[t].timed and not net.transitions[t].is_controllable
-        )
-        answers: List[Choices] = [() if self._plan.strict else weights]
-        if not self._policy.rows:
-            return np.zeros(len(states), dtype=np.int64), answers
-        numbers: Dict[Choices, int] = {}
-        counts = np.zeros((len(states), len(self._columns)), dtype=np.int64)
-        for i, (p, q) in enumerate(self._columns):
-            counts[:, i] = self._space.column(q, states) if q >= 0 else net.places[p].tokens
-        first, of = distinct_rows(counts) if len(states) else (states, states)
-        marking = list(net.initial_marking)
-        known = np.zeros(len(first), dtype=np.int64)
-        for k, row in enumerate(counts[first].tolist()):
-            for (p, _), n in zip(self._columns, row):
-                marking[p] = n
-            distribution = self._table.distribution(marking, place)
-            if distribution is None and not self._table.matches(marking, place):
-                continue
-            choices = distribution.choices if distribution is not None else ()
-            if choices not in numbers:
-                numbers[choices] = len(answers)
-                answers.append(choices)
-            known[k] = numbers[choices]
-        return known[of], answers
+        if not self._plan.strict:
+            leaving = [t for t in net.consumers[place] if not net.transitions[t].timed]
+            answers[0] = tuple((t, net.transitions[t].number) for t in leaving)
+        return number, answers
 
 
 class DecidedAnswers:
@@ -234,58 +212,43 @@ class _Player:
     ) -> Tuple[Indices, Floats, Indices, Indices, Floats]:
         """What robots at the policy draw: the arcs, the chance of each among those that can fire;
         their states, the priority there, and the probability of drawing any of them."""
-        stages = self._stages
-        net = self._plan.net
+        stages, net = self._stages, self._plan.net
         states = np.flatnonzero(stages.has(arcs))
-        answer = np.zeros(len(stages), dtype=np.int64)
-        answer[states], answers = self._told.of(group.at, states)
+        number = np.full(len(stages), -1, dtype=np.int64)
+        number[states] = np.arange(len(states))
+        of_arc = number[stages.sources[arcs]]
+        answer, answers = self._told.of(group.at, states)
         leaving = [t for t in net.consumers[group.at] if not net.transitions[t].timed]
         local = np.full(len(net.transitions), -1, dtype=np.int64)
         local[leaving] = np.arange(len(leaving))
-        table = np.zeros((len(answers), len(leaving)))
-        for k, choices in enumerate(answers):
-            for t, v in choices:
-                table[k, local[t]] = v
-        origins = np.array(stages.net.origins)[stages.labels[arcs]]
-        weights = table[answer[stages.sources[arcs]], local[origins]]
-        arcs, weights = arcs[weights > 0], weights[weights > 0]
-        priority = stages.priorities[stages.labels[arcs]]
-        # Answer 0: the weights decide. There, weights of 0 count for the priority too.
-        highest = stages.highest(arcs, priority)
-        free = np.flatnonzero(answer[states] == 0)
-        if len(free):
-            highest[states[free]] = self._highest_ready(group, states[free])
-        top = priority == highest[stages.sources[arcs]]
-        arcs, weights = arcs[top], weights[top]
-        ready = np.bincount(stages.sources[arcs], weights=weights, minlength=len(stages))
-        # all that could be drawn, whether it can fire or not
-        whole = np.zeros(len(stages))
-        urgency = np.array([net.transitions[t].priority for t in leaving])
-        for level in np.unique(urgency).tolist():
-            sums = table[:, urgency >= level].sum(axis=1)
-            at = states[highest[states] == level]
-            whole[at] = sums[answer[at]]
-        at = states[answer[states] == 0]
-        whole[at] = ready[at]
-        states = states[ready[states] > 0]
-        chances = weights / ready[stages.sources[arcs]]
+        origins = local[np.array(stages.net.origins)[stages.labels[arcs]]]
+        # of each kind of states, with the same answer and the same transitions that can fire: the
+        # weight of each, the highest priority, and the probability of drawing one of them
+        ready = np.zeros((len(states), len(leaving) + 1), dtype=np.min_scalar_type(len(answers)))
+        ready[of_arc, origins] = 1
+        ready[:, -1] = answer
+        first, kind = distinct_rows(ready)
+        weights = np.zeros((len(first), len(leaving)))
+        level = np.zeros(len(first), dtype=np.int64)
+        able = np.zeros(len(first))
+        for k, (*fires, answered) in enumerate(ready[first].tolist()):
+            can = {t for t, yes in zip(leaving, fires) if yes}
+            told = answers[answered]
+            drawn = candidates(net, told if answered else [c for c in told if c[0] in can], can)
+            for t, v in drawn:
+                if t in can:
+                    weights[k, local[t]] = v
+                    level[k] = max(level[k], net.transitions[t].priority)
+            able[k] = weights[k].sum()
+            if able[k] > 0:
+                weights[k] /= able[k]
+                able[k] = min(able[k] / sum(v for _, v in drawn), 1.0)
+        chances = weights[kind[of_arc], origins]
+        some = able[kind] > 0
         return (
-            arcs,
-            chances,
-            states,
-            highest[states],
-            np.minimum(ready[states] / whole[states], 1.0),
+            arcs[chances > 0],
+            chances[chances > 0],
+            states[some],
+            level[kind[some]],
+            able[kind[some]],
         )
-
-    def _highest_ready(self, group: Group, states: Indices) -> Indices:
-        """The highest priority of what can fire from a place in ``states``."""
-        stages = self._stages
-        arcs = np.concatenate(
-            [
-                stages.arcs_of(t)
-                for g in stages.net.groups
-                if g.place == group.place
-                for t, _ in g.members
-            ]
-        )
-        return stages.highest(arcs, stages.priorities[stages.labels[arcs]])[states]

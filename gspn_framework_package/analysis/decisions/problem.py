@@ -41,7 +41,7 @@ from gspn_framework_package.analysis.decisions.who_decides import Decider, who_d
 from gspn_framework_package.analysis.graph import components, flat_ranges, reachable_from
 from gspn_framework_package.analysis.limits import Limits, states_of
 from gspn_framework_package.analysis.plan.edited_nets import with_end
-from gspn_framework_package.analysis.plan.markings import distinct_rows
+from gspn_framework_package.analysis.plan.policy_answers import distinct_rows
 from gspn_framework_package.analysis.plan.reading import RUN, checked_reading, net_notes, of_events
 from gspn_framework_package.analysis.plan.structure import robot_flows
 from gspn_framework_package.analysis.state_space.rated_graph import enabled_in

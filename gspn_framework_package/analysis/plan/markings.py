@@ -9,8 +9,7 @@ transition itself, unless the plan's ``outcomes`` say so).
 
 from __future__ import annotations
 
-import math
-from typing import Any, Callable, Collection, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
+from typing import Any, Collection, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from gspn_framework_package.analysis.graph import (
     reachable_from,
 )
 from gspn_framework_package.analysis.plan.edited_nets import with_end, with_losses
+from gspn_framework_package.analysis.plan.policy_answers import PolicyAnswers
 from gspn_framework_package.analysis.plan.structure import (
     idle_places,
     may_be_named,
@@ -32,7 +32,6 @@ from gspn_framework_package.analysis.state_space.space import StateSpace, explor
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.model.plan import LostKind, Plan
 from gspn_framework_package.model.plan_timing import POLICY, PlanTiming
-from gspn_framework_package.model.policy import Distribution, PolicyTable
 
 
 class Finding(NamedTuple):
@@ -88,7 +87,16 @@ class PlanMarkings:
         self._is_loss = self.space.transitions >= self._own
         self._over = self._until()
         self.allowed = ~self._over[self._sources]
-        self._answers = _Answers(self, self._table, plan)
+        own = {number: p for p, number in self._number.items()}
+        self._answers = PolicyAnswers(
+            plan.net,
+            plan.policy,
+            lambda p, states: (
+                self.space.column(own[p], states)
+                if p in own
+                else np.zeros(len(states), dtype=np.int64)
+            ),
+        )
         self.possible = self.allowed.copy()
         """The firings that may happen: those that are allowed, and those that nobody but an action
         or a rule of failure asks for."""
@@ -134,10 +142,23 @@ class PlanMarkings:
                 continue
             wanted = np.zeros(len(arcs), dtype=bool)
             for p in asking:
-                wanted |= self._answers.chosen(p, t, self._sources[arcs])
+                unsaid = not self.plan.strict and not transitions[t].is_controllable
+                wanted |= self._chosen(p, t, self._sources[arcs], unsaid)
             self.allowed[arcs[~wanted]] = False
             if not may_be_named(self.plan, t, [self._number[p] for p in asking]):
                 self.possible[arcs[~wanted]] = False
+
+    def _chosen(self, p: int, t: int, states: Indices, unsaid: bool) -> Booleans:
+        """Boolean array: the ``states`` in which the policy gives transition ``t`` some probability
+        for a robot in place ``p``, or says nothing, if that counts (``unsaid``)."""
+        number, answers = self._answers.of(self._number[p], states)
+        found = np.array([t in dict(choices) for choices in answers])
+        found[0] = unsaid
+        return found[number]
+
+    def _silent(self, p: int, states: Indices) -> Indices:
+        """Those of the ``states`` in which the policy says nothing to a robot in place ``p``."""
+        return states[self._answers.of(self._number[p], states)[0] == 0]
 
     def policy_gaps(self) -> Iterator[Finding]:
         """Markings that need a decision but match no row of the policy. A strict plan needs one
@@ -146,8 +167,7 @@ class PlanMarkings:
         for p, leaving in self._decision_places():
             if not self.plan.strict and not self._table.rows_of(self.original(p)):
                 continue  # a subnet without a policy of its own
-            states = self._deciding(leaving, need)
-            yield from self._findings(states[self._answers.silent(p, states)], p)
+            yield from self._findings(self._silent(p, self._deciding(leaving, need)), p)
 
     def undecided_choices(self) -> Iterator[Finding]:
         """Markings in which neither the policy nor a positive weight decides, so that a robot waits
@@ -161,7 +181,7 @@ class PlanMarkings:
             some = np.zeros(len(self.space), dtype=bool)
             some[self._sources[np.isin(self.space.transitions, weighty)]] = True
             states = states[~some[states]]
-            yield from self._findings(states[self._answers.silent(p, states)], p)
+            yield from self._findings(self._silent(p, states), p)
 
     def _decision_places(self) -> Iterator[Tuple[int, List[int]]]:
         for p, place in enumerate(self.net.places):
@@ -405,7 +425,7 @@ class PlanMarkings:
             fires = np.zeros(len(self.space), dtype=bool)
             fires[self._sources[arcs & (self.space.transitions == t)]] = True
             states = states[~fires[states]]
-            waits[states[self._answers.drawn(p, t, states)]] = True
+            waits[states[self._chosen(p, t, states, unsaid=False)]] = True
         return waits
 
     @property
@@ -445,88 +465,3 @@ class PlanMarkings:
         return Finding(
             self.space.named(state), names, None if place is None else self.net.places[place].name
         )
-
-
-class _Answers:
-    """The answers of the policy, computed once per combination of the counts that it reads."""
-
-    def __init__(self, markings: PlanMarkings, table: PolicyTable, plan: Plan) -> None:
-        self._markings = markings
-        self._table = table
-        self._plan = plan
-        self._columns = [plan.net.place_number(p) for p in plan.policy.places]
-        self._known: Dict[Tuple[Tuple[int, ...], int], Tuple[Optional[Distribution], bool]] = {}
-
-    def chosen(self, p: int, t: int, states: Indices) -> Booleans:
-        """Boolean array: the ``states`` in which a robot in place ``p`` may choose transition
-        ``t``."""
-        weighty = not self._markings.net.transitions[t].is_controllable
-
-        def verdict(distribution: Optional[Distribution], matched: bool) -> bool:
-            if distribution is not None:
-                return any(chosen == t for chosen, _ in distribution.choices)
-            return not matched and not self._plan.strict and weighty
-
-        return self._per_state(p, states, verdict)
-
-    def drawn(self, p: int, t: int, states: Indices) -> Booleans:
-        """Boolean array: the ``states`` in which a row gives ``t`` some probability for a robot in
-        place ``p``."""
-        return self._per_state(
-            p,
-            states,
-            lambda distribution, matched: (
-                distribution is not None and any(chosen == t for chosen, _ in distribution.choices)
-            ),
-        )
-
-    def silent(self, p: int, states: Indices) -> Booleans:
-        """Boolean array: the ``states`` in which no row of the policy matches for a robot in place
-        ``p``."""
-        return self._per_state(
-            p, states, lambda distribution, matched: distribution is None and not matched
-        )
-
-    def _per_state(
-        self, p: int, states: Indices, verdict: Callable[[Optional[Distribution], bool], bool]
-    ) -> Booleans:
-        if not len(states):
-            return np.zeros(0, dtype=bool)
-        if not self._plan.policy.rows:
-            return np.full(len(states), verdict(None, False), dtype=bool)
-        counts_of = self._markings.full_markings(states)[:, self._columns]
-        first, of = distinct_rows(counts_of)
-        kinds = counts_of[first]
-        place = self._markings.original(p)
-        result = np.empty(len(kinds), dtype=bool)
-        marking = [0] * len(self._plan.net.places)
-        for i, counts in enumerate(map(tuple, kinds.tolist())):
-            key = counts, place
-            if key not in self._known:
-                for column, count in zip(self._columns, counts):
-                    marking[column] = count
-                self._known[key] = (
-                    self._table.distribution(marking, place),
-                    self._table.matches(marking, place),
-                )
-            result[i] = verdict(*self._known[key])
-        return result[of]
-
-
-def distinct_rows(rows: Indices) -> Tuple[Indices, Indices]:
-    """The index of the first of each distinct row, and for each row the number of its distinct
-    row."""
-    spans = [int(n) + 1 for n in rows.max(axis=0)]
-    if math.prod(spans) < 2**62:
-        keys = np.zeros(len(rows), dtype=np.int64)
-        for column, span in enumerate(spans):
-            keys = keys * span + rows[:, column]
-        if math.prod(spans) <= max(4 * len(rows), 1 << 16):  # no need to sort
-            seen = np.full(math.prod(spans), -1, dtype=np.int64)
-            seen[keys[::-1]] = np.arange(len(rows) - 1, -1, -1)
-            known = seen >= 0
-            return seen[known], (np.cumsum(known) - 1)[keys]
-        _, first, of = np.unique(keys, return_index=True, return_inverse=True)
-    else:
-        _, first, of = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    return first, of.reshape(-1)
