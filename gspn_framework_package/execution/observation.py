@@ -73,8 +73,8 @@ class ChoiceReader:
         else:
             row = [
                 (t, net.value(marking, t))
-                for t in net.consumers[place]
-                if not net.transitions[t].timed and net.is_enabled(marking, t)
+                for t in net.immediate_from[place]
+                if net.is_enabled(marking, t)
             ]
         if len({net.transitions[t].priority for t, _ in row}) > 1:
             return ()

@@ -42,9 +42,7 @@ class Rules:
             for t, transition in enumerate(net.transitions)
             if transition.timed and not self.has_robots[t] and (agents or not self.makes_robots[t])
         )
-        self.immediate = [
-            tuple(t for t in leaving if not net.transitions[t].timed) for leaving in net.consumers
-        ]
+        self.immediate = net.immediate_from
         self.queues = frozenset(net.place_number(p) for p in plan.tasks.queues)
         self.task_done = frozenset(net.transition_number(t) for t in plan.tasks.done)
         self.interrupts = {net.transition_number(t): event for t, event in plan.events.items()}

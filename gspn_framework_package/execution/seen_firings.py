@@ -100,8 +100,7 @@ def _never_waiting(plan: Plan) -> Set[str]:
     for place in plan.action_places:
         p = net.place_number(place)
         leaving = net.consumers[p]
-        decides = any(not net.transitions[t].timed for t in leaving)
-        if decides and plan.policy.rows:
+        if net.immediate_from[p] and plan.policy.rows:
             continue
         if leaving and not any(why_blocked(net, t, p) for t in leaving):
             found.add(place)

@@ -15,6 +15,7 @@ and :meth:`Net.fire`, or is tested to agree with them.
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import (
     Collection,
     Dict,
@@ -294,6 +295,14 @@ class Net:
         for p, change in self._effects[t]:
             after[p] += change
         return tuple(after)
+
+    @cached_property
+    def immediate_from(self) -> Tuple[Tuple[int, ...], ...]:
+        """The immediate transitions that take from each place."""
+        return tuple(
+            tuple(t for t in consumers if not self.transitions[t].timed)
+            for consumers in self.consumers
+        )
 
     def enabled(self, marking: Sequence[int], *, by_priority: bool = True) -> Tuple[int, ...]:
         """Return the numbers of the enabled transitions. With ``by_priority``, immediate

@@ -266,7 +266,7 @@ def unnamed(plan: Plan, place: int) -> int:
     :data:`POLICY` if immediate transitions leave the place, or nothing but events; otherwise the
     only transition; :data:`NO_REQUEST` if there are several, so that its action has failed."""
     leaving = plan.of_action(place)
-    if not leaving or any(not plan.net.transitions[t].timed for t in leaving):
+    if not leaving or plan.net.immediate_from[place]:
         return POLICY
     return leaving[0] if len(leaving) == 1 else NO_REQUEST
 

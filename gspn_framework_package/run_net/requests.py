@@ -23,10 +23,6 @@ class PolicyDraws:
         self._table = plan.policy.bind(plan.net)
         self._full = [plan.net.place_index[p.name] for p in net.places]
         self._start = list(plan.net.initial_marking)
-        self._leaving = {
-            p: [t for t in consumers if not net.transitions[t].timed]
-            for p, consumers in enumerate(net.consumers)
-        }
 
     def of(self, marking: Marking, p: int, ready: AbstractSet[int]) -> List[Tuple[int, float]]:
         """The distribution from which a robot in place ``p`` draws: pairs (transition,
@@ -41,7 +37,8 @@ class PolicyDraws:
         if choices is None:
             if self._plan.strict:
                 return []
-            choices = [(t, self._net.value(marking, t)) for t in self._leaving[p] if t in ready]
+            leaving = self._net.immediate_from[p]
+            choices = [(t, self._net.value(marking, t)) for t in leaving if t in ready]
         found = candidates(self._net, choices, ready)
         total = sum(v for _, v in found)
         return [(t, v / total) for t, v in found if v] if total else []

@@ -177,11 +177,7 @@ class Request:
         :raises ExpressionError: see :meth:`check`.
         """
         places = [place.name for place in net.places]
-        deciding = [
-            place
-            for place, leaving in zip(places, net.consumers)
-            if any(not net.transitions[t].timed for t in leaving)
-        ]
+        deciding = [place for place, leaving in zip(places, net.immediate_from) if leaving]
         may_wait = {
             name
             for pattern in self.may_wait

@@ -133,7 +133,7 @@ def present_choices(team: Team) -> Decided:
     chosen: List[Dict[int, float]] = [{} for _ in range(len(team.distinct))]
     for p in table.asking:
         numbers, answers = told.of(p, states)
-        leaving = [t for t in net.consumers[p] if not net.transitions[t].timed]
+        leaving = net.immediate_from[p]
         enabled = {t: table.enabled[t] for t in leaving}
         for g in np.flatnonzero(table.asks[p]).tolist():
             ready = [t for t in leaving if enabled[t][g]]
@@ -201,11 +201,10 @@ class _Table:
         self.needed = np.zeros(len(team.distinct), dtype=bool)
         for p in self.asking:
             asks = np.zeros(len(team.distinct), dtype=bool)
-            for t in net.consumers[p]:
-                if not net.transitions[t].timed:
-                    if t not in self.enabled:
-                        self.enabled[t] = problem.enabled(team, t) & ~over
-                    asks |= self.enabled[t]
+            for t in net.immediate_from[p]:
+                if t not in self.enabled:
+                    self.enabled[t] = problem.enabled(team, t) & ~over
+                asks |= self.enabled[t]
             self.asks[p] = asks
             self.needed |= asks
         self.chance: List[Tuple[Indices, Dict[int, Dict[int, float]]]] = []

@@ -310,11 +310,7 @@ class _Exactly:
         present = _by_marking(present_choices(team))
         net = self._plan.net
         leaving = {
-            name: {
-                net.transitions[t].name
-                for t in net.consumers[net.place_number(name)]
-                if not net.transitions[t].timed
-            }
+            name: {net.transitions[t].name for t in net.immediate_from[net.place_number(name)]}
             for name in self._problem.deciders
         }
         worth = _Worth(own, net.transition_index)

@@ -54,7 +54,7 @@ class Answers:
         number, answers = self._rows.of(place, states)
         net = self._plan.net
         if not self._plan.strict:
-            leaving = [t for t in net.consumers[place] if not net.transitions[t].timed]
+            leaving = net.immediate_from[place]
             answers[0] = tuple((t, net.transitions[t].number) for t in leaving)
         return number, answers
 
@@ -73,7 +73,7 @@ class DecidedAnswers:
 
     def of(self, place: int, states: Indices) -> Tuple[Indices, List[Choices]]:
         """As :meth:`Answers.of`; the first answer is not used."""
-        mine = {t for t in self._net.consumers[place] if not self._net.transitions[t].timed}
+        mine = self._net.immediate_from[place]
         numbers: Dict[Choices, int] = {}
         answers: List[Choices] = [()]
         number = np.zeros(len(self._kinds) + 1, dtype=np.int64)
@@ -218,7 +218,7 @@ class _Player:
         number[states] = np.arange(len(states))
         of_arc = number[stages.sources[arcs]]
         answer, answers = self._told.of(group.at, states)
-        leaving = [t for t in net.consumers[group.at] if not net.transitions[t].timed]
+        leaving = list(net.immediate_from[group.at])
         local = np.full(len(net.transitions), -1, dtype=np.int64)
         local[leaving] = np.arange(len(leaving))
         origins = local[np.array(stages.net.origins)[stages.labels[arcs]]]

@@ -272,10 +272,6 @@ class _Search:
         self._may_wait = {self.net.place_index[name] for name in request.may_wait}
         counters = set(plan.counters)
         self._read = [p for p, name in enumerate(names) if name not in counters]
-        self._immediate = {
-            p: [t for t in self.net.consumers[p] if not self.net.transitions[t].timed]
-            for p in range(len(names))
-        }
         if request.reading != RUN:
             self.notes.append("the improvement by simulation reads the plan as it runs")
         if self._never:
@@ -397,7 +393,7 @@ class _Search:
             arcs = len(run.tables.arcs)
             for p in self._deciding:
                 if state.lists.head[arcs + p] >= 0 and any(
-                    self.net.is_enabled(after, t) for t in self._immediate[p]
+                    self.net.is_enabled(after, t) for t in self.net.immediate_from[p]
                 ):
                     found.append(_Visit(after, p, WAIT, before))
         return found
@@ -410,7 +406,9 @@ class _Search:
         found: List[_Candidate] = []
         for group in groups[:_GROUPS]:
             first = group.visits[0]
-            enabled = [t for t in self._immediate[group.place] if self._fits(first.marking, t)]
+            enabled = [
+                t for t in self.net.immediate_from[group.place] if self._fits(first.marking, t)
+            ]
             top = max((self.net.transitions[t].priority for t in enabled), default=0)
             choices = [t for t in enabled if self.net.transitions[t].priority == top]
             if group.place in self._may_wait:
@@ -443,7 +441,7 @@ class _Search:
         near: Dict[int, List[int]] = {}
         for p in self._deciding:
             around = {p}
-            for t in self._immediate[p]:
+            for t in self.net.immediate_from[p]:
                 around.update(q for q, _ in self.net.inputs[t])
                 around.update(q for q, _ in self.net.outputs[t])
             near[p] = sorted(around)
@@ -472,7 +470,7 @@ class _Search:
         marking = group.visits[0].marking
         table = self._policy.bind(self.net)
         others: Dict[str, float] = {}
-        for p, leaving in self._immediate.items():
+        for p, leaving in enumerate(self.net.immediate_from):
             if p == group.place or marking[p] == 0 or not leaving:
                 continue
             if self._scope[p] != self._scope[group.place]:

@@ -3,7 +3,7 @@ policy may only change choices of the policy, so every answer includes its reaso
 
 from __future__ import annotations
 
-from typing import AbstractSet, Dict, List, NamedTuple, Tuple
+from typing import AbstractSet, Dict, NamedTuple, Sequence, Tuple
 
 from gspn_framework_package.analysis.plan.reading import RUN
 from gspn_framework_package.model.errors import RefusedError, UsageError
@@ -37,7 +37,7 @@ def who_decides(plan: Plan, reading: str, may_wait: AbstractSet[str]) -> Dict[st
     for name in plan.action_places:
         p = net.place_number(name)
         leaving = plan.of_action(p)
-        immediate = [t for t in leaving if not net.transitions[t].timed]
+        immediate = net.immediate_from[p]
         if not immediate:
             continue
         if len(immediate) < len(leaving) and not (reading == RUN and name in plan.outcomes):
@@ -63,7 +63,7 @@ def who_decides(plan: Plan, reading: str, may_wait: AbstractSet[str]) -> Dict[st
 
 
 def _decider(
-    plan: Plan, name: str, immediate: List[int], reading: str, may_wait: bool, spoken: bool
+    plan: Plan, name: str, immediate: Sequence[int], reading: str, may_wait: bool, spoken: bool
 ) -> Decider:
     transitions = plan.net.transitions
     outcomes = plan.outcomes.get(name)

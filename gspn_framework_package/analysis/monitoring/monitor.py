@@ -403,5 +403,4 @@ def _possible(chance: float) -> float:
 def _decides(plan: Plan, place: str) -> bool:
     """Whether the policy has a real choice in a place."""
     p = plan.net.place_number(place)
-    leaving = [t for t in plan.net.consumers[p] if not plan.net.transitions[t].timed]
-    return len(leaving) > 1
+    return len(plan.net.immediate_from[p]) > 1

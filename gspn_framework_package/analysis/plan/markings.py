@@ -9,6 +9,7 @@ transition itself, unless the plan's ``outcomes`` say so).
 
 from __future__ import annotations
 
+import math
 from typing import Any, Collection, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 import numpy as np
@@ -185,11 +186,7 @@ class PlanMarkings:
 
     def _decision_places(self) -> Iterator[Tuple[int, List[int]]]:
         for p, place in enumerate(self.net.places):
-            leaving = [
-                t
-                for t in self.net.consumers[p]
-                if t < self._own and not self.net.transitions[t].timed
-            ]
+            leaving = list(self.plan.net.immediate_from[self._number[p]])
             if leaving and place.name not in self.plan.resource_places:
                 yield p, leaving
 

@@ -7,12 +7,13 @@ import itertools
 from importlib.util import find_spec
 from typing import Any, Callable, Dict, List, Optional
 
-from gspn_framework_package.analysis.plan.structure import asked_at_once, idle_places
+from gspn_framework_package.analysis.plan.structure import idle_places
 from gspn_framework_package.analysis.preflight.report import LISTED, Checklist, Severity, name_list
 from gspn_framework_package.model.action import Action
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.net import Transition
 from gspn_framework_package.model.plan import Plan, Transport
+from gspn_framework_package.model.plan_timing import NO_REQUEST, unnamed
 
 ServerProbe = Callable[[str, str, Action], Optional[str]]
 """Called with (robot, place, action) to check whether the action's server answers; returns None if
@@ -169,9 +170,8 @@ class NameChecks:
             leaving = self._of_action(name)
             if (
                 name in self.plan.actions
-                and len(leaving) > 1
-                and asked_at_once(self.plan, p) is None
-                and all(self.net.transitions[t].timed for t in self.net.consumers[p])
+                and unnamed(self.plan, p) == NO_REQUEST
+                and self.plan.fallback(p) < 0
             ):
                 self._list.add(
                     "unasked",

@@ -228,11 +228,7 @@ class StructureChecks:
         asking = [
             name
             for name in plan.action_places
-            for p in (self.net.place_number(name),)
-            for leaving in (
-                [t for t in self.net.consumers[p] if not self.net.transitions[t].timed],
-            )
-            if len(leaving) > (0 if plan.strict else 1)
+            if len(self.net.immediate_from[self.net.place_number(name)]) > (not plan.strict)
         ]
         weighty = not any(t.is_controllable for t in self.net.transitions)
         ignored = [name for name in asking if self._cover.never_speaks(self.net.place_number(name))]

@@ -122,7 +122,7 @@ def all_in(arrays: Any) -> Iterator[Any]:
         yield arrays
 
 
-def ragged(parts: List[List[Any]], dtype: Any = np.int64) -> Tuple[Any, Any]:
+def ragged(parts: Sequence[Sequence[Any]], dtype: Any = np.int64) -> Tuple[Any, Any]:
     """Lists of numbers as two arrays: the start of each (and the end of the last), and their
     concatenation. The second is never empty, since numba needs its type."""
     offsets = np.zeros(len(parts) + 1, dtype=np.int64)

@@ -251,7 +251,7 @@ def _first_robots(tables: PlanTables) -> Tuple[kernel.Robots, kernel.Members]:
 def _no_choices(tables: PlanTables) -> kernel.ChoiceArrays:
     places = len(tables.net.places)
     most = max(
-        *map(len, tables.immediate_from),
+        *map(len, tables.net.immediate_from),
         *np.diff(tables.book.choice_from).tolist(),
         tables.most_slots,
         1,

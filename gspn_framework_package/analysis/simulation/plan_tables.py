@@ -70,9 +70,6 @@ class PlanTables:
         self._of_policy = len(net.places) + len(self.arcs)
         self._zero = self._of_policy + len(net.places)
         self.moves_robots = [bool(arcs) for arcs in self._arcs_of]
-        self.immediate_from = [
-            [t for t in consumers if not net.transitions[t].timed] for consumers in net.consumers
-        ]
         alone = [t for t in transitions if not self.moves_robots[t]]
         self.spontaneous = [t for t in alone if not net.transitions[t].timed]
         self.environment = (
@@ -89,7 +86,7 @@ class PlanTables:
             plan,
             [
                 p
-                for p, leaving in enumerate(self.immediate_from)
+                for p, leaving in enumerate(net.immediate_from)
                 if leaving and not self.is_resource[p]
             ],
         )
@@ -238,7 +235,7 @@ class PlanTables:
     def _arc_arrays(self) -> kernel.ArcArrays:
         net = self.net
         policy_groups = range(len(net.transitions), len(net.transitions) + len(net.places))
-        leaving_from, leaving = ragged(self.immediate_from)
+        leaving_from, leaving = ragged(net.immediate_from)
         joins_from, joins = ragged(self._joins())
         return kernel.ArcArrays(
             arc_from=np.cumsum([0, *map(len, self._arcs_of)]).astype(np.int64),
@@ -257,7 +254,7 @@ class PlanTables:
         joins: List[List[int]] = []
         for t, _, _ in self.arcs:
             joins.append([t, *([] if net.transitions[t].timed else self._policy_groups(t))])
-        for p, leaving in enumerate(self.immediate_from):
+        for p, leaving in enumerate(net.immediate_from):
             groups = [len(net.transitions) + p]
             for t in leaving:
                 if not self.is_resource[p] and self._arcs_of[t] != [(p, 1)]:

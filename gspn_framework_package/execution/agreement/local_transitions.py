@@ -41,7 +41,7 @@ class LocalTransitions:
         self._target: Dict[Tuple[int, int], int] = {}
         self._only: Dict[int, int] = {}
         for p, leaving in enumerate(net.consumers):
-            immediate = [t for t in leaving if not net.transitions[t].timed]
+            immediate = net.immediate_from[p]
             if not leaving or (immediate and (len(leaving) > 1 or policy_decides)):
                 continue
             if any(net.transitions[t].is_controllable for t in immediate):

@@ -63,7 +63,7 @@ def _place(plan: Plan, rules: RunNet, full: Marking, here: Marking, p: int) -> D
     net, name = plan.net, rules.net.places[p].name
     place = net.place_number(name)
     table = plan.policy.bind(net)
-    leaving = [t for t in net.consumers[place] if not net.transitions[t].timed]
+    leaving = list(net.immediate_from[place])
     ready = {t for t in leaving if net.is_enabled(full, t)}
     drawn = dict(rules.draws.of(here, p, ready)) if leaving else {}
     found = table.distribution(full, place) if leaving else None
