@@ -63,12 +63,11 @@ class ChoiceReader:
 
     def _row(self, marking: Marking, place: int) -> Sequence[Tuple[int, float]]:
         net = self._net
-        distribution = self._table.distribution(marking, place)
-        if distribution is not None:
-            row = [(t, p) for t, p in distribution.choices if p > 0]
+        row: Optional[Sequence[Tuple[int, float]]] = self._table.choices(marking, place)
+        if row is not None:
             if not all(net.is_enabled(marking, t) for t, _ in row):
                 return ()
-        elif self._table.matches(marking, place) or self._strict:
+        elif self._strict:
             return ()
         else:
             row = [

@@ -198,6 +198,11 @@ class Plan:
         return tuple(p.name for p in self.net.places if p.name not in self.resource_places)
 
     @property
+    def team_size(self) -> int:
+        """The number of robots in the initial marking."""
+        return sum(p.tokens for p in self.net.places if p.name not in self.resource_places)
+
+    @property
     def file_net(self) -> Net:
         """The net with the rates of its file, without the replacements in ``rates``."""
         return self.net.with_rates(self.own_rates)

@@ -232,10 +232,9 @@ class DecisionNet:
     def _refuse_shared_clocks(self) -> None:
         """Refuse what the rates of this net cannot say: an event comes to each robot by itself, but
         the rate of a transition is limited by all that it takes."""
-        robots = sum(place.tokens for place, acts in zip(self._source.places, self._acts) if acts)
         for t, p in self._events.items():
             others = [self._source.places[q].name for q, _ in self._source.inputs[t] if q != p]
-            if others and robots > 1:
+            if others and self._plan.team_size > 1:
                 raise RefusedError(
                     "it is an event that comes to each robot by itself, and also takes from %s"
                     % ", ".join(others),

@@ -139,7 +139,7 @@ class DecisionProblem:
         found = who_decides(plan, reading, self.may_wait)
         self.deciders: Dict[str, str] = {p: d.reason for p, d in found.items() if d.policy}
         self.chance: Dict[str, str] = {p: d.reason for p, d in found.items() if not d.policy}
-        own = _team_size(plan)
+        own = plan.team_size
         largest = max(sizes) if sizes else own
         if sizes and largest != own:
             plan = plan.for_robots(largest)
@@ -608,10 +608,6 @@ class DecisionProblem:
         return "(%s)" % ", ".join(
             "%s: %d" % (place.name, n) for place, n in zip(self.plan.net.places, counts) if n
         )
-
-
-def _team_size(plan: Plan) -> int:
-    return sum(p.tokens for p in plan.net.places if p.name not in plan.resource_places)
 
 
 def _left_out(plan: Plan, conditions: Sequence[str]) -> Tuple[str, ...]:

@@ -477,10 +477,10 @@ class _Search:
                 continue  # rows of another scope decide there
             if self.net.places[p].name in self.plan.resource_places:
                 continue
-            if table.matches(marking, p):
-                spoken = table.distribution(marking, p)
-                if choice == WAIT and spoken is not None:
-                    others.update((self.net.transitions[t].name, v) for t, v in spoken.choices)
+            spoken = table.choices(marking, p)
+            if spoken is not None:
+                if choice == WAIT:
+                    others.update((self.net.transitions[t].name, v) for t, v in spoken)
             else:  # a row for one place disables the weights of the others
                 others.update(
                     (self.net.transitions[t].name, self.net.transitions[t].number)

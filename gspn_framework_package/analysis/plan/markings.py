@@ -10,7 +10,7 @@ transition itself, unless the plan's ``outcomes`` say so).
 from __future__ import annotations
 
 import math
-from typing import Any, Collection, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
+from typing import Any, Collection, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
@@ -83,6 +83,9 @@ class PlanMarkings:
         )
         self._table = plan.policy.bind(plan.net)
         self._timing = PlanTiming(plan)
+        self._robots = [
+            p for p, place in enumerate(net.places) if place.name not in plan.resource_places
+        ]
         self._number = {p: plan.net.place_index[place.name] for p, place in enumerate(net.places)}
         self._sources = self.space.sources
         self._is_loss = self.space.transitions >= self._own
@@ -126,12 +129,7 @@ class PlanMarkings:
 
     def _cross_out(self) -> None:
         """Disallow the firings of immediate transitions that are never chosen."""
-        transitions = self.net.transitions
-        robots = {
-            p
-            for p, place in enumerate(self.net.places)
-            if place.name not in self.plan.resource_places
-        }
+        transitions, robots = self.net.transitions, set(self._robots)
         for t in range(self._own):
             if transitions[t].timed:
                 continue
@@ -184,13 +182,13 @@ class PlanMarkings:
             states = states[~some[states]]
             yield from self._findings(self._silent(p, states), p)
 
-    def _decision_places(self) -> Iterator[Tuple[int, List[int]]]:
-        for p, place in enumerate(self.net.places):
-            leaving = list(self.plan.net.immediate_from[self._number[p]])
-            if leaving and place.name not in self.plan.resource_places:
+    def _decision_places(self) -> Iterator[Tuple[int, Sequence[int]]]:
+        for p in self._robots:
+            leaving = self.plan.net.immediate_from[self._number[p]]
+            if leaving:
                 yield p, leaving
 
-    def _deciding(self, leaving: List[int], need: int) -> Indices:
+    def _deciding(self, leaving: Sequence[int], need: int) -> Indices:
         """States of an unfinished run in which at least ``need`` of the transitions ``leaving`` are
         enabled."""
         arcs = np.isin(self.space.transitions, leaving)
@@ -206,8 +204,8 @@ class PlanMarkings:
         moving[self._sources[self.allowed & ~self._is_loss]] = True
         ends = terminal_places(self.plan)
         busy = np.zeros(len(self.space), dtype=bool)
-        for p, place in enumerate(self.net.places):
-            if place.name not in self.plan.resource_places and self._number[p] not in ends:
+        for p in self._robots:
+            if self._number[p] not in ends:
                 busy |= self.space.column(p) > 0
         dead = ~moving & busy & ~self._over
         dead[self.space.explored :] = False
@@ -222,9 +220,8 @@ class PlanMarkings:
         over = self._over.copy()
         over[self._sources[self.allowed & ~self._is_loss]] = True
         over[self.space.explored :] = True
-        for p, place in enumerate(self.net.places):
-            if place.name not in self.plan.resource_places:
-                over |= self.space.column(p) > 0
+        for p in self._robots:
+            over |= self.space.column(p) > 0
         return self._findings(np.flatnonzero(~over & self._ways.reached))
 
     # -- robots that wait for good -----------------------------------------------------------------
@@ -242,11 +239,7 @@ class PlanMarkings:
         :param timeless: the transitions that may follow another one without time between them.
         """
         space, sources, targets = self.space, self._sources, self.space.targets
-        requests = {
-            p: requested(self.plan, self._timing, self.original(p))
-            for p, place in enumerate(self.net.places)
-            if place.name not in self.plan.resource_places
-        }
+        requests = {p: requested(self.plan, self._timing, self.original(p)) for p in self._robots}
         doubtful = [
             (p, t)
             for p, asked in requests.items()
@@ -372,12 +365,9 @@ class PlanMarkings:
         timed = np.array([t.timed for t in net.transitions], dtype=bool)
         urgency = np.where(timed, -1, [t.priority for t in net.transitions])
         urgency_of = urgency[self.space.transitions]
-        robots = [
-            p for p, place in enumerate(net.places) if place.name not in self.plan.resource_places
-        ]
         idle = idle_places(self.plan, everybody=True)
         takes_robots = np.zeros(len(net.transitions), dtype=bool)
-        for p in robots:
+        for p in self._robots:
             takes_robots[list(net.consumers[p])] = True
         alone = arcs & ~takes_robots[self.space.transitions]
         most = np.full(size, -2)  # the highest urgency that must go first
@@ -388,7 +378,7 @@ class PlanMarkings:
         rests = ~first
         floor = np.full(size, -2)
         asked = alone.copy()
-        for p in robots:
+        for p in self._robots:
             leaving = [t for t in net.consumers[p] if t < self._own]
             here = arcs & np.isin(self.space.transitions, leaving)
             if not here.any():

@@ -205,10 +205,7 @@ class PolicyCover:
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
         self._table = plan.policy.bind(plan.net)
-        self._robots = max(
-            len(plan.robots),
-            sum(p.tokens for p in plan.net.places if p.name not in plan.resource_places),
-        )
+        self._robots = max(len(plan.robots), plan.team_size)
         # the rows that constrain at most one place: only those can match whatever the other places
         # contain
         self._few_cells = {

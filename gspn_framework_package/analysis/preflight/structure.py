@@ -128,14 +128,7 @@ class StructureChecks:
             )
 
     def _look_at_servers_of_transitions(self) -> None:
-        if (
-            sum(
-                place.tokens
-                for place in self.net.places
-                if place.name not in self.plan.resource_places
-            )
-            < 2
-        ):
+        if self.plan.team_size < 2:
             return
         acts = {self.net.place_number(p) for p in self.plan.action_places}
         differing = [

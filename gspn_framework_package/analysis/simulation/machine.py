@@ -9,7 +9,7 @@ import inspect
 import os
 from collections import Counter
 from functools import lru_cache
-from typing import Any, Callable, Dict, Iterator, List, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterator, Sequence, Tuple
 
 import numpy as np
 

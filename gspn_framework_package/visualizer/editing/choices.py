@@ -103,7 +103,7 @@ def _why(plan: Plan, full: Marking, place: int, leaving: Sequence[int]) -> str:
     if found is not None and not found.choices:
         return "row %d of the policy applies: robots wait here" % (found.row + 1)
     if found is not None:
-        others = _others(plan, full, place, leaving, found.row)
+        others = _others(plan, full, place, found.row)
         return "row %d of the policy applies%s" % (found.row + 1, others)
     if table.matches(full, place):
         return "rows of the policy match, but none applies to this place: robots wait here"
@@ -120,17 +120,15 @@ def _why(plan: Plan, full: Marking, place: int, leaving: Sequence[int]) -> str:
     return "%s: the weights decide among the enabled transitions" % rows
 
 
-def _others(plan: Plan, full: Marking, place: int, leaving: Sequence[int], row: int) -> str:
+def _others(plan: Plan, full: Marking, place: int, row: int) -> str:
     """Name the other rows that match and apply to the place, and over which this row takes
     precedence."""
     columns = [plan.net.place_number(p) for p in plan.policy.places]
-    chosen = {plan.net.transitions[t].name for t in leaving}
     also: List[int] = []
-    for number in plan.policy.bind(plan.net).rows_of(place):
-        counts, choice, *_ = plan.policy.rows[number]
+    for number in sorted(plan.policy.bind(plan.net).deciding(place)):
+        counts = plan.policy.rows[number].counts
         matches = all(c is None or full[column] == c for column, c in zip(columns, counts))
-        speaks = not choice or any(name in chosen and share > 0 for name, share in choice)
-        if number != row and matches and speaks:
+        if number != row and matches:
             also.append(number + 1)
     if not also:
         return ""
