@@ -11,6 +11,7 @@ import math
 from typing import Any, Callable, List, Mapping, NoReturn, Sequence, Union
 
 from gspn_framework_package.model.condition import (
+    ProgramStep,
     compile_program,
     run_in_columns,
     run_program,
@@ -50,6 +51,10 @@ class MarkingFunction:
         """The value with these token counts, one for each of ``places``; NaN if there is none."""
         value = run_program(self._program, {name: float(counts[name]) for name in self.places})
         return float(value)
+
+    def program(self, numbers: Mapping[str, int]) -> Sequence[ProgramStep]:
+        """The expression as steps of a stack machine, with numbers for its places."""
+        return [(step, numbers[of] if step == "place" else of) for step, of in self._program]
 
     def values(self, columns: Mapping[str, Any]) -> Any:
         """The values in many markings: a float array.

@@ -118,7 +118,7 @@ class AimedRun:
 
     def marking(self) -> Tuple[int, ...]:
         """The present marking."""
-        return tuple(int(n) for n in self.run.state.counts.level[: len(self.run.net.places)])
+        return self.run.marking
 
     def earned(self, at: float) -> float:
         """The reward of the run up to the time ``at`` (s), at which it stopped or before which it

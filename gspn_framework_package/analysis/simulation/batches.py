@@ -218,12 +218,10 @@ class KernelPlayer:
                     self._compile()
                     self._compile = None
             if status == kernel.STUCK:
-                marking = run.state.counts.level[: len(self.net.places)]
                 raise RefusedError(
                     "a run stays in (%s) forever, which does not satisfy the end condition"
                     % ", ".join(
-                        "%s: %d" % item
-                        for item in self.net.named(tuple(marking), zeros=False).items()
+                        "%s: %d" % item for item in self.net.named(run.marking, zeros=False).items()
                     ),
                     hint="give a time as well",
                 )

@@ -48,6 +48,8 @@ GROW = 7
 """A count outgrew its row of ``spent``."""
 LOSS = 10
 """A robot is lost; its number is in ``numbers[LOST_ROBOT]``."""
+NO_VALUE = 11
+"""A rate or weight is not above 0: see ``numbers[WITHOUT_VALUE]``."""
 FULL = 8
 """More agents than there is room for."""
 UNDECIDED = 9
@@ -131,7 +133,9 @@ URGENCY = 32
 INTERRUPTS = 33
 SOURCE = 34
 RIVALS = 35
-NUMBERS = 36
+WITHOUT_VALUE = 36
+"""1 + the number of an enabled transition whose rate or weight is not above 0; 0: none."""
+NUMBERS = 37
 
 NO_VISIT = 1 << 62
 """The first event of a visit in which none comes: later than all."""
@@ -414,13 +418,20 @@ def fits(t: int, level: Indices, test_from: Indices, tests: Indices) -> bool:
     return True
 
 
-def holds(
-    operations: Indices, arguments: Floats, level: Indices, label: float, stack: Floats
-) -> bool:
-    """Whether a condition holds; ``label`` is the truth of its label. Comparisons with NaN are
-    false."""
+def value_of(
+    begin: int,
+    end: int,
+    operations: Indices,
+    arguments: Floats,
+    level: Indices,
+    label: float,
+    stack: Floats,
+) -> float:
+    """The value of the steps from ``begin`` on: of a condition 0 if it does not hold, of an
+    expression NaN if it has none. ``label`` is the truth of the label of a condition. Comparisons
+    with NaN are false."""
     top = 0
-    for k in range(len(operations)):
+    for k in range(begin, end):
         what = operations[k]
         argument = arguments[k]
         if what == 0:
@@ -448,7 +459,7 @@ def holds(
         else:
             top -= 1
             stack[top - 1] = of_two(what, stack[top - 1], stack[top])
-    return stack[0] != 0.0
+    return stack[0]
 
 
 def of_one(what: int, a: float) -> float:
@@ -684,6 +695,8 @@ def weigh(
             weights[k] = chance[begin + k]
         else:
             weights[k] = weight[t] if can > 0 else 0.0
+            if weights[k] < 0.0:
+                numbers[WITHOUT_VALUE] = t + 1
             if can > 0:
                 signature = (signature * 1000003 + k + 1) & 0x7FFFFFFF
         if can > 0 and priority[t] > floor:
@@ -768,6 +781,21 @@ class Rates(NamedTuple):
     servers: Any
 
 
+class Functions(NamedTuple):
+    """Rates and weights that depend on the marking."""
+
+    transition: Any
+    race: Any
+    """The number among the transitions that race; -1: its value is a weight."""
+    read_from: Any
+    read: Any
+    """By place: the functions that read its count."""
+    step_from: Any
+    operations: Any
+    arguments: Any
+    stack: Any
+
+
 class CountArrays(NamedTuple):
     """The counts of places, and the times that they had them."""
 
@@ -833,12 +861,33 @@ def busy(t: int, servers: int, level: Indices, test_from: Indices, tests: Indice
     return servers if 0 < servers < degree else degree
 
 
-def set_rate(i: int, net: NetArrays, rates: Rates, level: Indices, tree: Floats) -> None:
+def compute(k: int, functions: Functions, net: NetArrays, rates: Rates, level: Indices) -> None:
+    """Enter the value of a rate or weight that depends on the marking; -1 if it has none above
+    0."""
+    transition, race, _, _, step_from, operations, arguments, stack = functions
+    _, _, _, _, weight = net
+    _, rate, _ = rates
+    value = value_of(step_from[k], step_from[k + 1], operations, arguments, level, 0.0, stack)
+    if not 0.0 < value < math.inf:
+        value = -1.0
+    if race[k] >= 0:
+        rate[race[k]] = value
+    else:
+        weight[transition[k]] = value
+
+
+def set_rate(
+    i: int, net: NetArrays, rates: Rates, level: Indices, tree: Floats, numbers: Indices
+) -> None:
     """Enter the rate of an exponential transition in this marking into the tree."""
     test_from, tests, _, _, _ = net
     transition, rate, servers = rates
     leaves = len(tree) // 2
-    value = rate[i] * busy(transition[i], servers[i], level, test_from, tests)
+    degree = busy(transition[i], servers[i], level, test_from, tests)
+    value = rate[i] * degree
+    if value < 0.0:
+        numbers[WITHOUT_VALUE] = transition[i] + 1
+        value = 0.0
     if tree[leaves + i] != value:
         set_leaf(tree, leaves, i, value)
 
@@ -896,6 +945,8 @@ def choose_ready(
         t = ready[i]
         if priority[t] == top:
             count += 1
+            if weight[t] < 0.0:
+                numbers[WITHOUT_VALUE] = t + 1
             total += weight[t]
             least = min(least, weight[t])
             if t < first:
@@ -1013,13 +1064,15 @@ class Readers(NamedTuple):
 
 class Watchers(NamedTuple):
     """By place, what a change of its count concerns beside robots: immediate transitions that only
-    take resources, exponential ones of the environment, and the condition that ends the run."""
+    take resources, exponential ones of the environment, the condition that ends the run, and
+    functions of the marking."""
 
     spontaneous_from: Any
     spontaneous: Any
     environment_from: Any
     environment: Any
     until_reads: Any
+    functions: Any
 
 
 class ChangeArrays(NamedTuple):
@@ -1767,8 +1820,11 @@ def touch(
 ) -> None:
     """Note what else depends on the count of ``place``, which has changed: transitions that only
     take resources, and the condition that ends the run."""
-    spontaneous_from, spontaneous, environment_from, environment, until_reads = watchers
+    spontaneous_from, spontaneous, environment_from, environment, until_reads, functions = watchers
+    _, _, read_from, read, _, _, _, _ = functions
     _, changed, is_changed, tree = chance
+    for k in range(read_from[place], read_from[place + 1]):
+        compute(read[k], functions, net, rates, level)
     for k in range(spontaneous_from[place], spontaneous_from[place + 1]):
         t = spontaneous[k]
         if is_changed[t] == 0:
@@ -1776,7 +1832,7 @@ def touch(
             changed[numbers[CHANGED]] = t
             numbers[CHANGED] += 1
     for k in range(environment_from[place], environment_from[place + 1]):
-        set_rate(environment[k], net, rates, level, tree)
+        set_rate(environment[k], net, rates, level, tree, numbers)
         numbers[ENVIRONMENT_DIRTY] = 1
     if until_reads[place] > 0:
         numbers[CHECK_UNTIL] = 1
@@ -1815,7 +1871,8 @@ def change_counts(
             mark(rising_from[place], rising_from[place + 1], rising, waits, marks, numbers)
         else:
             mark(falling_from[place], falling_from[place + 1], falling, waits, marks, numbers)
-        touch(place, net, watchers, rates, chance, level, numbers)
+    for k in range(begin, end, 2):
+        touch(effects[k], net, watchers, rates, chance, level, numbers)
 
 
 def choose_targets(
@@ -2114,7 +2171,8 @@ def until_holds(
     """Whether the condition that ends the run, if there is one, holds now."""
     operations, arguments = until
     numbers[CHECK_UNTIL] = 0
-    return len(operations) > 0 and holds(operations, arguments, level, label, stack)
+    end = len(operations)
+    return end > 0 and value_of(0, end, operations, arguments, level, label, stack) != 0.0
 
 
 def next_ready(
@@ -2171,6 +2229,9 @@ def play(r: Any, b: Any, s: Any, stop: float, budget: int) -> int:
     enough = numbers[EVENTS] + budget
     status = GOING
     while status == GOING:
+        if numbers[WITHOUT_VALUE] > 0:
+            status = NO_VALUE
+            break
         status = serve_pending(
             sizes, visits, arcs, robots, lists, marks, calendar, level, clocks, random, numbers
         )
@@ -2262,6 +2323,7 @@ class RaceArrays(NamedTuple):
     touched_from: Any
     touched: Any
     rates: Any
+    functions: Any
     until_reads: Any
     until: Any
 
@@ -2286,7 +2348,20 @@ def race(r: Any, s: Any, stop: float, budget: int) -> int:
 
     :param r: RaceArrays, or the same as plain tuples; ``s`` is a RaceState.
     """
-    sizes, net, effect_from, effects, touched_from, touched, rates, until_reads, until = r
+    (
+        sizes,
+        net,
+        effect_from,
+        effects,
+        touched_from,
+        touched,
+        rates,
+        functions,
+        until_reads,
+        until,
+    ) = r
+    of, _, read_from, read, _, _, _, _ = functions
+    some_functions = len(of) > 0
     numbers, clocks, random, counts, firings, ready_ones, tree, stack = s
     _, _, immediate, _, _ = net
     level, _, _, _, _ = counts
@@ -2294,6 +2369,9 @@ def race(r: Any, s: Any, stop: float, budget: int) -> int:
     enough = numbers[EVENTS] + budget
     status = GOING
     while status == GOING:
+        if numbers[WITHOUT_VALUE] > 0:
+            status = NO_VALUE
+            break
         if numbers[CHECK_UNTIL] > 0 or asks_deadlock > 0:
             deadlock = 1.0 if numbers[READY] == 0 and tree[1] <= 0.0 else 0.0
             if until_holds(until, level, deadlock, stack, numbers):
@@ -2331,6 +2409,9 @@ def race(r: Any, s: Any, stop: float, budget: int) -> int:
             shift(place, effects[k + 1], clocks[NOW], counts, numbers)
             if until_reads[place] > 0:
                 numbers[CHECK_UNTIL] = 1
+            if some_functions:
+                for j in range(read_from[place], read_from[place + 1]):
+                    compute(read[j], functions, net, rates, level)
         for k in range(begin, end, 2):
             place = effects[k]
             for j in range(touched_from[place], touched_from[place + 1]):
@@ -2338,7 +2419,7 @@ def race(r: Any, s: Any, stop: float, budget: int) -> int:
                 if immediate[t] > 0:
                     set_ready(t, net, level, ready_ones, numbers)
                 else:
-                    set_rate(t, net, rates, level, tree)
+                    set_rate(t, net, rates, level, tree, numbers)
     if status in (AT_STOP, UNTIL):
         book_times(clocks[NOW], sizes[0], counts)
     return status

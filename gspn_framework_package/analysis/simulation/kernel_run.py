@@ -9,7 +9,7 @@ import numpy as np
 
 from gspn_framework_package.analysis.simulation import kernel, machine
 from gspn_framework_package.model.errors import RefusedError
-from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.net import Marking, Net
 
 FIRST_ROW = 8
 """Initial number of counts of a place for which time is recorded; more are added when they
@@ -45,6 +45,17 @@ class KernelRun:
         """
         self.arguments: Tuple[Any, ...] = machine.plain_tuple((*self.arrays, self.state))
         self._to_reset = list(zip(machine.all_in(self.state), machine.all_in(self._fresh)))
+        self._compute_values()
+
+    def _compute_values(self) -> None:
+        """Compute the rates and weights that depend on the marking, in this one."""
+        functions, net, rates = self._values()
+        for k in range(len(functions.transition)):
+            kernel.compute(k, functions, net, rates, self.state.counts.level)
+
+    def _values(self) -> Tuple[kernel.Functions, kernel.NetArrays, kernel.Rates]:
+        """Where the kernel has them."""
+        raise NotImplementedError
 
     def compile(self) -> None:
         """Switch to the compiled kernel, continuing the run."""
@@ -60,6 +71,7 @@ class KernelRun:
         for now, before in self._to_reset:
             now[:] = before
         self.state.random[:] = words
+        self._compute_values()
 
     def continue_from(self, state: Any) -> None:
         """Continue from another state."""
@@ -71,6 +83,7 @@ class KernelRun:
         happened; returns a status of the kernel.
 
         :raises RefusedError: there is a timeless cycle, or the model cannot be played.
+        :raises NetError: a rate or weight that depends on the marking is not above 0.
         """
         end = self.state.numbers[kernel.EVENTS] + budget
         while True:
@@ -80,6 +93,10 @@ class KernelRun:
             status = self.step(float(stop), left)  # a whole number would be compiled for again
             if status == kernel.GROW:
                 self._grow()
+            elif status == kernel.NO_VALUE:
+                t = int(self.state.numbers[kernel.WITHOUT_VALUE]) - 1
+                self.net.value(self.marking, t)
+                raise AssertionError("the kernel has no value for transition %d" % t)
             elif status == kernel.TIMELESS:
                 raise RefusedError(
                     "more than %d firings without time between them" % kernel.FIRINGS_PER_ENTRY,
@@ -104,6 +121,11 @@ class KernelRun:
         state = self.state
         for array in (state.counts.area, state.counts.spent, state.firings):
             array[:] = [0] * len(array) if isinstance(array, list) else 0
+
+    @property
+    def marking(self) -> Marking:
+        """The marking now."""
+        return tuple(int(n) for n in self.state.counts.level[: len(self.net.places)])
 
     @property
     def now(self) -> float:

@@ -34,6 +34,10 @@ class PlanRun(KernelRun):
         """Play the token game; see :meth:`KernelRun.step`."""
         return int(self.functions["play"](*self.arguments, stop, budget))
 
+    def _values(self) -> Tuple[kernel.Functions, kernel.NetArrays, kernel.Rates]:
+        rules = self.arrays[0]
+        return rules.changes.watchers.functions, rules.net, rules.changes.rates
+
     def after(self, status: int) -> int:
         """Evict a robot that was lost; see :meth:`KernelRun.after`."""
         if status == kernel.LOSS:
@@ -93,6 +97,7 @@ class PlanRun(KernelRun):
         freed = [(losses.evicted[k], losses.evicted[k + 1]) for k in range(begin, end, 2)]
         for p, amount in [(place, -1), *freed]:
             kernel.shift(p, amount, self.now, s.counts, s.numbers)
+        for p, _ in [(place, -1), *freed]:
             kernel.touch(
                 p, rules.net, changes.watchers, changes.rates, s.chance, s.counts.level, s.numbers
             )

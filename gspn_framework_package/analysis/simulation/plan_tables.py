@@ -12,7 +12,10 @@ from gspn_framework_package.analysis.simulation.machine import floats, integers,
 from gspn_framework_package.analysis.simulation.net_arrays import (
     compile_condition,
     flattened,
+    marking_functions,
     marking_tests,
+    numbers_of,
+    places_read,
 )
 from gspn_framework_package.analysis.simulation.policy_book import policy_book
 from gspn_framework_package.model.condition import parse_condition
@@ -56,7 +59,6 @@ class PlanTables:
     ) -> None:
         self.plan = plan
         self.net = net = plan.net
-        net.require_numbers("the simulation of a plan as it runs")
         transitions = range(len(net.transitions))
         self.is_resource = [p.name in plan.resource_places for p in net.places]
         self._arcs_of = [
@@ -132,7 +134,7 @@ class PlanTables:
                 tests=flat_tests,
                 immediate=integers([int(not t.timed) for t in net.transitions]),
                 priority=integers(self.priority),
-                weight=floats([0.0 if t.timed else t.number for t in net.transitions]),
+                weight=numbers_of(net, range(len(net.transitions))),
             ),
             visits=kernel.Visits(*self._timings(timing), self._interrupts()),
             arcs=self._arc_arrays(),
@@ -190,10 +192,11 @@ class PlanTables:
                 environment_from=environment_from,
                 environment=its_readers,
                 until_reads=until_reads,
+                functions=marking_functions(net, environment),
             ),
             rates=kernel.Rates(
                 transition=integers(environment),
-                rate=floats([net.transitions[t].number for t in environment]),
+                rate=numbers_of(net, environment),
                 servers=integers([net.transitions[t].servers or 0 for t in environment]),
             ),
         )
@@ -263,11 +266,10 @@ class PlanTables:
         return joins
 
     def _readers(self, which: Sequence[int], numbers: Sequence[int]) -> List[List[int]]:
-        """For each place, the ``numbers`` of the transitions ``which`` that its count may enable or
-        disable."""
+        """For each place, the ``numbers`` of the transitions ``which`` that read its count."""
         readers: List[List[int]] = [[] for _ in self.net.places]
         for t, number in zip(which, numbers):
-            for p in dict.fromkeys(test[0] for test in marking_tests(self.net, t, self._zero)):
+            for p in places_read(self.net, t):
                 readers[p].append(number)
         return readers
 

@@ -1,11 +1,8 @@
-"""Runs of a net: its enabled exponential transitions race.
-
-Rates and weights that depend on the marking are computed here, before each firing. The kernel then
-runs as plain Python, one firing at a time."""
+"""Runs of a net: its enabled exponential transitions race."""
 
 from __future__ import annotations
 
-from typing import Dict, List, Optional, Tuple
+from typing import List, Optional, Tuple
 
 import numpy as np
 
@@ -22,7 +19,10 @@ from gspn_framework_package.analysis.simulation.machine import ragged
 from gspn_framework_package.analysis.simulation.net_arrays import (
     compile_condition,
     flattened,
+    marking_functions,
     marking_tests,
+    numbers_of,
+    places_read,
 )
 from gspn_framework_package.model.condition import Condition
 from gspn_framework_package.model.errors import RefusedError
@@ -38,44 +38,14 @@ class RaceRun(KernelRun):
     def __init__(self, net: Net, until: Optional[Condition] = None) -> None:
         arrays = _arrays(net, until)
         super().__init__(net, (arrays,), _new_state(net, arrays))
-        self._known: Dict[Tuple[int, Tuple[int, ...]], float] = {}
-
-    def compile(self) -> None:
-        """Switch to the compiled kernel, unless rates or weights depend on the marking."""
-        if not self.net.functions:
-            super().compile()
 
     def step(self, stop: float, budget: int) -> int:
-        """Let the transitions race; see :meth:`KernelRun.step`.
+        """Let the transitions race; see :meth:`KernelRun.step`."""
+        return int(self.functions["race"](*self.arguments, stop, budget))
 
-        :raises NetError: a rate or weight that depends on the marking is not above 0.
-        """
-        race = self.functions["race"]
-        if not self.net.functions:
-            return int(race(*self.arguments, stop, budget))
-        for _ in range(budget):
-            self._set_values()
-            status = int(race(*self.arguments, stop, 1))
-            if status != kernel.MORE:
-                return status
-        return kernel.MORE
-
-    def _set_values(self) -> None:
-        """Set the rates and weights that depend on the marking."""
-        net, state, arrays = self.net, self.state, self.arrays[0]
-        marking = state.counts.level[: len(net.places)]
-        for t, function in net.functions.items():
-            if not net.is_enabled(marking, t):
-                continue
-            key = (t, tuple([marking[net.place_index[name]] for name in function.places]))
-            value = self._known.get(key)
-            if value is None:
-                value = self._known[key] = net.value(marking, t)
-            if net.transitions[t].timed:
-                arrays.rates.rate[t] = value
-                kernel.set_rate(t, arrays.net, arrays.rates, state.counts.level, state.tree)
-            else:
-                arrays.net.weight[t] = value
+    def _values(self) -> Tuple[kernel.Functions, kernel.NetArrays, kernel.Rates]:
+        arrays = self.arrays[0]
+        return arrays.functions, arrays.net, arrays.rates
 
     def after(self, status: int) -> int:
         """Refuse a choice without weights; see :meth:`KernelRun.after`.
@@ -83,8 +53,7 @@ class RaceRun(KernelRun):
         :raises RefusedError: always.
         """
         if status == kernel.UNDECIDED:
-            marking = [int(n) for n in self.state.counts.level[: len(self.net.places)]]
-            names = [self.net.transitions[t].name for t in self.net.enabled(marking)]
+            names = [self.net.transitions[t].name for t in self.net.enabled(self.marking)]
             raise RefusedError(
                 "no weights decide between %s" % ", ".join(names),
                 hint="give them weights, or take a plan with a policy",
@@ -99,7 +68,7 @@ def _arrays(net: Net, until: Optional[Condition]) -> kernel.RaceArrays:
     tests = [marking_tests(net, t, zero) for t in numbers]
     touched: List[List[int]] = [[] for _ in net.places]
     for t in numbers:
-        for p in dict.fromkeys(test[0] for test in tests[t]):
+        for p in places_read(net, t):
             touched[p].append(t)
     test_from, flat_tests = ragged(flattened(tests))
     effect_from, effects = ragged(flattened([net.effect(t) for t in numbers]))
@@ -116,10 +85,7 @@ def _arrays(net: Net, until: Optional[Condition]) -> kernel.RaceArrays:
             tests=flat_tests,
             immediate=np.array([int(not t.timed) for t in transitions], dtype=np.int64),
             priority=np.array([t.priority for t in transitions], dtype=np.int64),
-            weight=np.array(
-                [1.0 if t.timed or t.function is not None else t.number for t in transitions],
-                dtype=np.float64,
-            ),
+            weight=numbers_of(net, numbers),
         ),
         effect_from=effect_from,
         effects=effects,
@@ -127,12 +93,10 @@ def _arrays(net: Net, until: Optional[Condition]) -> kernel.RaceArrays:
         touched=flat_touched,
         rates=kernel.Rates(
             transition=np.arange(len(transitions)),
-            rate=np.array(
-                [t.number if t.timed and t.function is None else 1.0 for t in transitions],
-                dtype=np.float64,
-            ),
+            rate=numbers_of(net, numbers),
             servers=np.array([t.servers or 0 for t in transitions], dtype=np.int64),
         ),
+        functions=marking_functions(net, numbers),
         until_reads=reads,
         until=kernel.Until(operations, arguments),
     )
