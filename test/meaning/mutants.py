@@ -1089,7 +1089,7 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "never",
         ["ends"],
-        (K.until_holds, "len(operations) > 0 and", "len(operations) < 0 and"),
+        (K.until_holds, "return end > 0 and", "return end < 0 and"),
     ),
     (
         "until",
