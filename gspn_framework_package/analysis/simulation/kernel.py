@@ -646,6 +646,7 @@ class Stamps(NamedTuple):
     stamp: Any
 
 
+# In one piece: a call costs plain Python as much as many of the steps
 def weigh(
     place: int,
     sizes: Indices,
@@ -781,7 +782,7 @@ class Rates(NamedTuple):
     servers: Any
 
 
-class Functions(NamedTuple):
+class MarkingFunctions(NamedTuple):
     """Rates and weights that depend on the marking."""
 
     transition: Any
@@ -861,7 +862,9 @@ def busy(t: int, servers: int, level: Indices, test_from: Indices, tests: Indice
     return servers if 0 < servers < degree else degree
 
 
-def compute(k: int, functions: Functions, net: NetArrays, rates: Rates, level: Indices) -> None:
+def compute(
+    k: int, functions: MarkingFunctions, net: NetArrays, rates: Rates, level: Indices
+) -> None:
     """Enter the value of a rate or weight that depends on the marking; -1 if it has none above
     0."""
     transition, race, _, _, step_from, operations, arguments, stack = functions
@@ -2342,6 +2345,7 @@ class RaceState(NamedTuple):
     stack: Any
 
 
+# In one piece: a call costs plain Python as much as many of the steps
 def race(r: Any, s: Any, stop: float, budget: int) -> int:
     """Let the enabled transitions race until the clock reaches ``stop`` or this many have fired;
     returns why.

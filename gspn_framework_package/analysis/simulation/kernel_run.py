@@ -53,7 +53,7 @@ class KernelRun:
         for k in range(len(functions.transition)):
             kernel.compute(k, functions, net, rates, self.state.counts.level)
 
-    def _values(self) -> Tuple[kernel.Functions, kernel.NetArrays, kernel.Rates]:
+    def _values(self) -> Tuple[kernel.MarkingFunctions, kernel.NetArrays, kernel.Rates]:
         """Where the kernel has them."""
         raise NotImplementedError
 

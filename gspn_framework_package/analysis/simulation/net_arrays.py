@@ -45,7 +45,7 @@ def numbers_of(net: Net, transitions: Iterable[int]) -> Any:
     )
 
 
-def marking_functions(net: Net, racing: Sequence[int]) -> kernel.Functions:
+def marking_functions(net: Net, racing: Sequence[int]) -> kernel.MarkingFunctions:
     """The rates and weights of a net that depend on the marking.
 
     :param racing: the transitions that race, in the order of their rates.
@@ -58,7 +58,7 @@ def marking_functions(net: Net, racing: Sequence[int]) -> kernel.Functions:
         for name in net.functions[t].places:
             read[net.place_index[name]].append(k)
     operations, arguments = _steps([step for program in programs for step in program])
-    return kernel.Functions(
+    return kernel.MarkingFunctions(
         np.array(known, dtype=np.int64),
         np.array([race_of.get(t, -1) for t in known], dtype=np.int64),
         *ragged(read),

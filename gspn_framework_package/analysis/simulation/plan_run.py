@@ -34,7 +34,7 @@ class PlanRun(KernelRun):
         """Play the token game; see :meth:`KernelRun.step`."""
         return int(self.functions["play"](*self.arguments, stop, budget))
 
-    def _values(self) -> Tuple[kernel.Functions, kernel.NetArrays, kernel.Rates]:
+    def _values(self) -> Tuple[kernel.MarkingFunctions, kernel.NetArrays, kernel.Rates]:
         rules = self.arrays[0]
         return rules.changes.watchers.functions, rules.net, rules.changes.rates
 

@@ -43,7 +43,7 @@ class RaceRun(KernelRun):
         """Let the transitions race; see :meth:`KernelRun.step`."""
         return int(self.functions["race"](*self.arguments, stop, budget))
 
-    def _values(self) -> Tuple[kernel.Functions, kernel.NetArrays, kernel.Rates]:
+    def _values(self) -> Tuple[kernel.MarkingFunctions, kernel.NetArrays, kernel.Rates]:
         arrays = self.arrays[0]
         return arrays.functions, arrays.net, arrays.rates
 
