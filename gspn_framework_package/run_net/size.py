@@ -55,6 +55,25 @@ class PhasesOfDurations:
             total += known[doing]
         return total
 
+    def where_most(self, most: Sequence[int]) -> str:
+        """Where the largest number of states comes from, for people; empty if from no place.
+
+        :param most: the largest number of robots in each place so far.
+        """
+        conditions = {p: float(last - first) for p, (first, last) in enumerate(self._run_net.parts)}
+        for p, _, count in self._many:
+            conditions[p] += count - 1 if math.isfinite(count) else 0
+        ways = {p: _spreadings(most[p], conditions[p]) for p in self._run_net.columns}
+        if not ways:
+            return ""
+        p = max(ways, key=ways.__getitem__)
+        return "%s holds up to %d robot%s, each in one of %d phases or other conditions" % (
+            self._run_net.net.places[p].name,
+            most[p],
+            "" if most[p] == 1 else "s",
+            conditions[p],
+        )
+
     def why_so_many(self, states: float, limit: int) -> str:
         """Why the phases of the durations are too many, for people."""
         p, attempt, k = max(self._many, key=lambda entry: entry[2])

@@ -53,6 +53,8 @@ class PlanSpace(StateSpace):
     :ivar notes: how time was read, and what was assumed.
     :ivar refusal: why there is no Markov chain although all markings are known; empty if there is
       one.
+    :ivar most: the largest number of tokens in each place.
+    :ivar where_most: if it is not complete, the place that makes it large, in words for people.
     """
 
     def __init__(
@@ -69,7 +71,8 @@ class PlanSpace(StateSpace):
         parts: Tuple[str, ...] = (),
         part_counts: Optional[Indices] = None,
     ) -> None:
-        widths = [max(int(n).bit_length(), 1) for n in markings.max(axis=0)]
+        self.most: List[int] = markings.max(axis=0).tolist()
+        widths = [max(n.bit_length(), 1) for n in self.most]
         packing = Packing(net, widths)
         order = np.arange(len(net.transitions) + self.further_steps)
         store = PackedStore(packing, packing.pack_all(markings))
@@ -77,6 +80,7 @@ class PlanSpace(StateSpace):
         self.counters = counters
         self.notes = notes
         self.refusal = ""
+        self.where_most = ""
         self._parts, self._part_counts = parts, part_counts
         self._vanishing = vanishing
         self._values = values
@@ -85,6 +89,12 @@ class PlanSpace(StateSpace):
     def is_vanishing(self) -> Booleans:
         """Boolean array: the robots move on in zero time."""
         return self._vanishing
+
+    @property
+    def hint(self) -> str:
+        """A phrase for messages: what to do if the space is not complete, and what is large."""
+        where = "; " + self.where_most if self.where_most else ""
+        return super().hint + where
 
     def transition_name(self, transition: int) -> str:
         """The name of a transition, WAITS_LABEL or GOES_ON."""
@@ -174,7 +184,10 @@ def explore_plan(
     notes = run_notes(plan, timing, dict(run_net.splits), list(run_net.assumptions))
     space = work.explore(Steps(run_net), notes)
     phases = PhasesOfDurations(run_net)
-    if not space.complete or phases.most <= 1:
+    if not space.complete:
+        space.where_most = phases.where_most(space.most)
+        return space
+    if phases.most <= 1:
         return space
     # With one phase for each duration, the same markings are reached. How many states there would
     # be with all phases is known before they are visited.

@@ -386,6 +386,16 @@ def test_the_number_of_states_is_foreseen():
     assert found <= int(foreseen.group(1)) <= 1.05 * found
 
 
+def test_a_space_that_is_too_large_names_the_place_that_makes_it_so():
+    plan = patrol_with(lambda place: erlang(5 if place.endswith("L1") else 2, seconds(place)))
+    space = explore_plan(plan.for_robots(4), timing=PlanTiming(plan), limit=50)
+    with pytest.raises(
+        LimitError, match="within 5. states.*raise --limit.*_L1 holds up to 1 robot, "
+    ):
+        space.require_complete("the answer")
+    assert re.search(r"each in one of \d+ phases or other conditions", space.where_most)
+
+
 def test_a_time_that_never_varies_has_no_phases():
     plan = plan_of(pair(), {"a": Duration.deterministic(1.0), "b": exponential(1.0)})
     with pytest.raises(LimitError, match="never vary.*that of a"):
