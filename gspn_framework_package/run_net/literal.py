@@ -409,7 +409,7 @@ class _Writer(StagedNet):
                 deciding.again = self.place(name + " again", name, text)
             higher = tuple((u, v) for u, v in choices if transitions[u].priority >= level)
             text, ends = "%s can fire" % transitions[t].name, self._gate(p, deciding, higher)
-            self._move((_RAISE, -level), 1.0, text, gate, ends, deciding.again, ready=ready)
+            self._move((_RAISE,), 1.0, text, gate, ends, deciding.again, ready=ready)
         return gate
 
     def _draw_by_weight(self, p: int, deciding: _Deciding, rank: int, ready: Needed) -> None:
