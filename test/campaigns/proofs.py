@@ -40,7 +40,7 @@ FAMILIES = {
 }
 
 
-def ask(family: str, subjects: int, limit: int, counts: Counter) -> int:
+def ask(family: str, subjects: int, limit: int, seconds: float, counts: Counter) -> int:
     """Put questions about many subjects, and return how many answers were wrong."""
     wrong = []
 
@@ -54,7 +54,7 @@ def ask(family: str, subjects: int, limit: int, counts: Counter) -> int:
         counts[family, "subjects"] += 1
         for question in questions_about(subject, number):
             expected = can_be_reached(subject, question)
-            answer = decide_question(subject, question, limit=limit)
+            answer = decide_question(subject, question, limit=limit, seconds=seconds)
             counts[family, question.kind, answer.verdict, answer.decided_by] += 1
             problem = problem_of(subject, question)
             if answer.certificate is not None:
@@ -79,12 +79,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--subjects", type=int, default=3000, help="nets and plans in all")
     parser.add_argument("--limit", type=int, default=1, help="markings that an answer may visit")
+    parser.add_argument("--seconds", type=float, default=0.5, help="that an answer may take")
     args = parser.parse_args()
     wrong = 0
     for family in FAMILIES:
         counts: Counter = Counter()
         begun = time.process_time()
-        wrong += ask(family, args.subjects // len(FAMILIES), args.limit, counts)
+        wrong += ask(family, args.subjects // len(FAMILIES), args.limit, args.seconds, counts)
         for what, number in sorted(counts.items()):
             print("%7d  %s" % (number, ", ".join(filter(None, what))))
         print("%7.1f  s of processor time" % (time.process_time() - begun), flush=True)

@@ -276,7 +276,7 @@ class _OfPlan:
     def _ever_fires(self, t: int) -> bool:
         """False: nobody ever asks for ``t``."""
         asking = self._asking(t)
-        if not asking or self._named(t) or self._weights_decide(t):
+        if not asking or self._weights_decide(t) or self._named(t):
             return True
         return any(t in chosen for p in asking for _, chosen in self._rows.of(p))
 
