@@ -28,7 +28,9 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 PROGRAMS = sorted(
     path
     for path in (ROOT / "scripts").iterdir()
-    if path.is_file() and not path.suffix and path.name != "make_deb"  # of the checkout
+    if path.is_file()
+    and not path.suffix
+    and path.name not in ("make_deb", "check_spec")  # of the checkout
 )
 SCRIPTS = [ROOT / "setup.py", *PROGRAMS, *sorted((ROOT / "scripts").glob("*.py"))]
 PLANS = sorted((ROOT / "plans").rglob("*.py"))
