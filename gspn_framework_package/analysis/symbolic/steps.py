@@ -24,6 +24,10 @@ _MOST_ROWS = 1_000_000
 """Largest number of rows of all steps together."""
 
 _Gone = FrozenSet[int]
+_MOST_CASES = 30_000
+"""Largest number of sets of transitions that may still be enabled at some level: with more, the
+priorities do not fit the order of the places, and it would be tried in vain for long."""
+
 Range = Tuple[int, int]
 _Cases = List[Tuple[int, int, _Gone]]
 StepRows = Tuple[Tuple[int, int, int], ...]
@@ -86,9 +90,14 @@ class Precedence:
 
         :param gone: those known to be disabled by a higher level, and asked about by a lower one
             again; each range comes with those after this level.
+        :raises TooManyCasesError: there are too many.
         """
         found = self._cases.get((level, gone))
         if found is None:
+            if len(self._cases) >= _MOST_CASES:
+                raise TooManyCasesError(
+                    "not decided: the priorities make more than %s cases" % format(_MOST_CASES, ",")
+                )
             found = self._cases[level, gone] = self._new_cases(level, gone)
         return found
 
@@ -226,9 +235,10 @@ class StepTable:
     def _count_rows(self, plan: Dict[_Gone, _Cases]) -> None:
         self._rows += sum(map(len, plan.values()))
         if self._rows > self._rows_allowed:
-            made, self._rows = self._rows, self._rows_before
+            self._rows = self._rows_before
             raise TooManyCasesError(
-                "not decided: the priorities make more than %s cases" % format(made, ",")
+                "not decided: the priorities make more than %s rows"
+                % format(self._rows_allowed, ",")
             )
 
     def _made(
