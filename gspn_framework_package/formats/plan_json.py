@@ -21,7 +21,6 @@ from gspn_framework_package.model.failure import (
     failure_rule_from_json,
     failure_rule_to_json,
 )
-from gspn_framework_package.model.families import FAMILIES, duration_from_json
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import (
     MAX_ROBOTS,
@@ -46,6 +45,8 @@ def schema() -> Dict[str, Any]:
     what other packages have added."""
     with open(SCHEMA_FILE, encoding="utf-8") as file:
         loaded: Dict[str, Any] = json.load(file)
+    from gspn_framework_package.model.families import FAMILIES
+
     rules = loaded["properties"]["on_failure"]["additionalProperties"]["oneOf"]
     rules += [kind.form for kind in FAILURE_KINDS.values() if kind.form is not None]
     duration = loaded["definitions"]["duration"]
@@ -206,6 +207,8 @@ LEARNED = ("durations", "outcomes", "failures", "rates")
 
 
 def _duration(place: str, data: Dict[str, Any]) -> Duration:
+    from gspn_framework_package.model.families import duration_from_json  # not all plans need it
+
     try:
         return duration_from_json(data)
     except PlanError as error:

@@ -13,7 +13,6 @@ from typing import Any, Dict, Iterator, Mapping, NamedTuple, Optional, Union
 
 from gspn_framework_package.model.data import full_name, references
 from gspn_framework_package.model.errors import DataError, ExpressionError
-from gspn_framework_package.model.message_condition import MessageCondition, parse_field
 
 EXEC_GSPN = "gspn_framework_package/ExecGSPNAction"
 """The action type of the thesis's action servers, and of those of this package."""
@@ -246,10 +245,18 @@ def why_not_valid(action: Action) -> Optional[str]:
         for name in (*read_by(action), *written_by(action)):
             full_name(name)
         keep = getattr(action, "keep", {})
-        for field in keep.values() if isinstance(keep, Mapping) else ():
-            parse_field(field)
-        if getattr(action, "when", ""):
-            MessageCondition(getattr(action, "when", ""))
+        fields = list(keep.values()) if isinstance(keep, Mapping) else []
+        when = getattr(action, "when", "")
+        if fields or when:  # the actions of most plans have neither
+            from gspn_framework_package.model.message_condition import (
+                MessageCondition,
+                parse_field,
+            )
+
+            for field in fields:
+                parse_field(field)
+            if when:
+                MessageCondition(when)
     except (DataError, ExpressionError) as error:
         return str(error)
     return None
