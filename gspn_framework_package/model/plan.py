@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import enum
 import hashlib
+import json
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -27,7 +28,6 @@ from typing import (
 )
 
 from gspn_framework_package.model.action import Action, outcomes_of, why_not_valid
-from gspn_framework_package.model.compact_json import compact_sorted
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.duration import Duration, Evidence
 from gspn_framework_package.model.errors import PlanError
@@ -333,7 +333,7 @@ class Plan:
 
     @cached_property
     def _hash(self) -> str:
-        text = compact_sorted(self._essence())
+        text = json.dumps(self._essence(), separators=(",", ":"), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:32]
 
     def _essence(self) -> Dict[str, Any]:
