@@ -26,7 +26,6 @@ from typing import (
     NamedTuple,
     Optional,
     Sequence,
-    Set,
     Tuple,
     Union,
 )
@@ -49,7 +48,7 @@ from gspn_framework_package.model.condition import Condition, parse_condition, r
 from gspn_framework_package.model.errors import LimitError, UsageError
 from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.model.policy import PolicyRow
+from gspn_framework_package.model.policy import PolicyRow, PolicyTable
 
 DEAD, NEVER, ALWAYS, APART, FIRES, NO_ROW = "dead", "never", "always", "apart", "fires", "no_row"
 
@@ -178,7 +177,7 @@ class _OfPlan:
         self._until: Optional[Condition] = None
         if plan.until:
             self._until = _condition(plan.until, self._net)
-        self._rows = _RowsOfPlaces(plan, self._net)
+        self._rows = _RowsOfPlaces(self._table, self._net, self._original)
 
     def problem(self) -> Problem:
         """The question as a problem."""
@@ -363,22 +362,12 @@ class _OfPlan:
 class _RowsOfPlaces:
     """The rows of a policy that decide for each place of ``net``, by precedence."""
 
-    def __init__(self, plan: Plan, net: Net) -> None:
-        policy = plan.policy
-        self._policy, self._net = policy, net
+    def __init__(self, table: PolicyTable, net: Net, original: Sequence[int]) -> None:
+        policy = table.policy
+        self._policy, self._net, self._table, self._original = policy, net, table, original
         scopes = policy.scope_numbers()
         self._scope = [scopes.get(place.name, 0) for place in net.places]
         self._row_scope = policy.row_scopes()
-        self._chosen: Dict[int, Dict[int, Set[int]]] = {}  # place -> row -> transitions
-        self._waits: Dict[int, List[int]] = {}  # scope -> its rows without choices
-        for number, row in enumerate(policy.rows):
-            if not row.choices:
-                self._waits.setdefault(self._row_scope[number], []).append(number)
-            for name, probability in row.choices:
-                t = net.transition_number(name)
-                for p, _ in net.inputs[t]:
-                    if probability > 0 and self._scope[p] == self._row_scope[number]:
-                        self._chosen.setdefault(p, {}).setdefault(number, set()).add(t)
         self._steps = 0
         self._matches: Dict[int, Formula] = {}  # scope -> one of its rows matches
         self._cells = [tuple(self._row_cells(row)) for row in policy.rows]
@@ -418,11 +407,9 @@ class _RowsOfPlaces:
     def of(self, p: int) -> Iterator[Tuple[int, Sequence[int]]]:
         """The rows that decide for a place, by precedence, each with the transitions that it lets a
         robot choose there; those without any let robots wait."""
-        chosen = self._chosen.get(p, {})
-        numbers = {*chosen, *self._waits.get(self._scope[p], ())}
-        rows = self._policy.rows
-        for number in sorted(numbers, key=lambda n: (rows[n].counts.count(None), n)):
-            yield number, sorted(chosen.get(number, ()))
+        place = self._original[p]
+        for number in self._table.deciding(place):
+            yield number, sorted(t for t, _ in self._table.choices_of_row(number, place))
 
     def by_precedence(
         self, p: int
