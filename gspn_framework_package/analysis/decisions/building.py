@@ -256,7 +256,7 @@ class Built(NamedTuple):
     rated: Indices
 
 
-# In one piece: a net with clocks, compiled from the plan, is to replace it
+# In one piece: the rows of all kinds are numbered one after the other
 def build_automaton(stages: Stages, may_wait: Booleans, waits: Booleans) -> Built:
     """Build the automaton of all states.
 

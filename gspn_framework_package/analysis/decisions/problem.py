@@ -8,7 +8,7 @@ transition move. The states are those of the *untimed closure*, also after losse
 marking in which a run may ask the policy.
 """
 
-# In one piece: a net with clocks, compiled from the plan, is to replace it
+# In one piece: the problem, its teams and what a policy does in them are the same arrays
 
 from __future__ import annotations
 
