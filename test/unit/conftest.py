@@ -5,7 +5,6 @@ import threading
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
 
 from gspn_framework_package.execution.event_log import header, read_log
 from gspn_framework_package.execution.log_writer import EventLogWriter
@@ -15,12 +14,6 @@ from gspn_framework_package.execution.standalone import Listener, StandaloneExec
 sys.path.append(str(Path(__file__).parent))
 # "meeting", "waiting" and "reported_run", which need no ROS
 sys.path.append(str(Path(__file__).parents[1] / "rostest" / "support"))
-
-
-settings.register_profile("unit", deadline=None)  # no test times speed: the machine may be busy
-# for what has run with 100 before
-settings.register_profile("libraries", settings.get_profile("unit"), max_examples=30)
-settings.load_profile("unit")
 
 
 class _Slots(Listener):

@@ -15,7 +15,8 @@ from gspn_framework_package.model.net import Net
 DATA = Path(__file__).parent / "data"
 SAMPLES = sorted(path for path in DATA.iterdir())
 RELAXED = settings(
-    max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=50,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 BOMB = "<!DOCTYPE pnml [<!ENTITY e0 'xxxxxxxxxx'>%s]>" % "".join(
     "<!ENTITY e%d '%s'>" % (n, "&e%d;" % (n - 1) * 10) for n in range(1, 12)

@@ -452,7 +452,8 @@ def meaningful(root, net=None):
 
 @pytest.mark.parametrize("name", SAMPLES)
 @settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=60,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 @given(data=st.data())
 def test_anything_unknown_is_refused_with_its_line(tmp_path, name, data):

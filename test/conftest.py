@@ -1,0 +1,8 @@
+"""What all tests have in common: none of them times speed, since the machine may be busy."""
+
+from hypothesis import HealthCheck, settings
+
+settings.register_profile("any", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+# for what has run with 100 before
+settings.register_profile("libraries", settings.get_profile("any"), max_examples=30)
+settings.load_profile("any")
