@@ -109,6 +109,7 @@ def _decide(args: argparse.Namespace) -> int:
     code = 0
     if is_plan(args.plan):
         subject = _plan(args)
+        questions = proofs.asked(args, subject)
         report = _report(args, subject)
         code = report.exit_code
         data = _as_json(report, subject)
@@ -116,7 +117,13 @@ def _decide(args: argparse.Namespace) -> int:
             _print(report, subject)
     else:
         subject = read_net_or_plan(args.plan).net
-    answers = _answers(args, subject, proofs.asked(args, subject))
+        questions = proofs.asked(args, subject)
+    answers = _answers(args, subject, questions)
+    data["answers"] = [answer.to_json() for answer in answers]
+    if args.json:
+        print(json.dumps(data, indent=2))
+    else:
+        print("\n".join(map(_text, answers)))
     if args.certificate:
         found = [
             {"question": answer.question._asdict(), "certificate": answer.certificate}
@@ -124,11 +131,6 @@ def _decide(args: argparse.Namespace) -> int:
             if answer.certificate is not None
         ]
         proofs.write_proofs(args.certificate, args, found)
-    data["answers"] = [answer.to_json() for answer in answers]
-    if args.json:
-        print(json.dumps(data, indent=2))
-    else:
-        print("\n".join(map(_text, answers)))
     return code or int(not _all_proven(answers))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 from typing import Any, Dict, Iterator, List, Tuple, Union
@@ -12,7 +13,7 @@ from gspn_framework_package.analysis.proofs.checker import ProofError, check_cer
 from gspn_framework_package.analysis.proofs.questions import MarkingQuestion, problem_of
 from gspn_framework_package.formats.json_file import read_json
 from gspn_framework_package.formats.plan_file import read_net_or_plan
-from gspn_framework_package.model.errors import InputError
+from gspn_framework_package.model.errors import InputError, LimitError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 
@@ -20,15 +21,22 @@ FORMAT = "gspn_proofs"
 
 
 def asked(args: argparse.Namespace, subject: Union[Net, Plan]) -> List[MarkingQuestion]:
-    """The questions in the arguments."""
+    """The questions in the arguments.
+
+    :raises GspnError: one names what does not exist, or cannot be read.
+    """
     kinds = [questions.DEAD, questions.NO_ROW] if isinstance(subject, Plan) else [questions.DEAD]
-    return [
+    found = [
         *([MarkingQuestion(kind) for kind in kinds] if args.certificate else []),
         *(MarkingQuestion(questions.NEVER, text) for text in args.never),
         *(MarkingQuestion(questions.ALWAYS, text) for text in args.always),
         *(MarkingQuestion(questions.APART, pattern) for pattern in args.apart),
         *(MarkingQuestion(questions.FIRES, name) for name in args.never_fires),
     ]
+    for question in found:
+        with contextlib.suppress(LimitError):  # the answer will say it
+            problem_of(subject, question)
+    return found
 
 
 def write_proofs(path: str, args: argparse.Namespace, proofs: List[Dict[str, Any]]) -> None:

@@ -237,8 +237,20 @@ def test_a_net_can_be_asked_about_too(tmp_path, capsys):
     capsys.readouterr()
     assert main(["check", net, "--never", "P + Q > 1"]) == 0
     assert "never P + Q > 1" in capsys.readouterr().out
-    assert main(["check", net, "--never", "nowhere > 1"]) == 2
-    assert "there is no place 'nowhere'" in capsys.readouterr().err
+    for asked in (net, str(tmp_path)):
+        assert main(["check", asked, "--never", "nowhere > 1"]) == 2
+        told = capsys.readouterr()
+        assert "there is no place 'nowhere'" in told.err
+        assert not told.out, "nothing is checked before the questions are read"
+
+
+def test_an_answer_stays_although_its_proof_cannot_be_written(tmp_path, capsys):
+    (tmp_path / "plan.json").write_text(json.dumps(PLAN))
+    file = str(tmp_path / "nowhere" / "proofs.json")
+    assert main(["check", str(tmp_path), "--never", "P + Q > 1", "--certificate", file]) == 2
+    told = capsys.readouterr()
+    assert "proven       never P + Q > 1" in told.out
+    assert file in told.err
 
 
 def test_files_that_only_begin_like_proofs_are_refused(tmp_path, capsys):
