@@ -107,7 +107,7 @@ def recall(keys: Numbers, values: Numbers, a: int, b: int) -> int:
 
 
 def remember(keys: Numbers, values: Numbers, a: int, b: int, result: int) -> None:
-    """NodeStore a result; it takes the place of another."""
+    """Store a result; it takes the place of another."""
     slot = pair_hash(a, b) & (len(keys) - 1)
     keys[slot] = (a << 32) + b
     values[slot] = result

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 from functools import lru_cache
 from types import FunctionType
 from typing import Any, Callable, Dict, List, NamedTuple, Tuple
 
 import numpy as np
 
+from gspn_framework_package.analysis.state_space.space import numba_is_there
 from gspn_framework_package.analysis.symbolic import kernel
 from gspn_framework_package.analysis.symbolic.kernel import (
     DONE,
@@ -66,7 +66,7 @@ def compiled_form() -> KernelForm:
 
 def best_form() -> KernelForm:
     """The compiled form if numba is installed, otherwise the plain one."""
-    return compiled_form() if importlib.util.find_spec("numba") is not None else PLAIN
+    return compiled_form() if numba_is_there() else PLAIN
 
 
 class Machine:

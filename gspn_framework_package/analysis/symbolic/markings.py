@@ -7,7 +7,7 @@ wins, since no rule tells beforehand which of them keeps the diagram small.
 
 from __future__ import annotations
 
-from typing import Dict, Iterable, Iterator, List, NamedTuple, Optional, Tuple
+from typing import Dict, Iterable, List, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.analysis.limits import DEFAULT_MEMORY
 from gspn_framework_package.analysis.symbolic.kernel import IDENTITY, NO_MARKING, UNIT
@@ -23,6 +23,7 @@ from gspn_framework_package.analysis.symbolic.steps import (
     rule_of,
 )
 from gspn_framework_package.analysis.watch import Watch
+from gspn_framework_package.formats.symbolic import priority_levels
 from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Net
 
@@ -166,13 +167,10 @@ class _Diagram:
             self.machine.begin_close(self._level, tokens, self.root)
 
 
-def _by_precedence(net: Net) -> Iterator[List[int]]:
+def _by_precedence(net: Net) -> List[List[int]]:
     """The transitions in classes, each of which takes precedence over those after it."""
-    numbers = range(len(net.transitions))
-    immediate = [t for t in numbers if not net.transitions[t].timed]
-    for priority in sorted({net.transitions[t].priority for t in immediate}, reverse=True):
-        yield [t for t in immediate if net.transitions[t].priority == priority]
-    yield [t for t in numbers if net.transitions[t].timed]
+    exponential = [t for t, transition in enumerate(net.transitions) if transition.timed]
+    return [*priority_levels(net), exponential]
 
 
 def _race(

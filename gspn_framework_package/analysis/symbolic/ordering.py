@@ -101,12 +101,12 @@ def _drawn_together(start: PlaceOrder, groups: Sequence[Sequence[int]]) -> Place
     position = np.empty(len(start))
     position[list(start)] = np.arange(len(start))
     best, least = position, np.inf
-    for _ in range(_ROUNDS):
+    for round_ in range(_ROUNDS):
         where = position[member]
         span = float(
             (np.maximum.reduceat(where, begins) - np.minimum.reduceat(where, begins)).sum()
         )
-        if span >= least and _ > 5:
+        if span >= least and round_ > 5:
             break
         if span < least:
             best, least = position, span
