@@ -34,8 +34,9 @@ def asked(args: argparse.Namespace, subject: Union[Net, Plan]) -> List[MarkingQu
         *(MarkingQuestion(questions.FIRES, name) for name in args.never_fires),
     ]
     for question in found:
-        with contextlib.suppress(LimitError):  # the answer will say it
-            problem_of(subject, question)
+        if question.about:
+            with contextlib.suppress(LimitError):  # the answer will say it
+                problem_of(subject, question)
     return found
 
 
