@@ -304,6 +304,13 @@ class Net:
             for consumers in self.consumers
         )
 
+    def most_tokens(self, t: int) -> List[Tuple[int, int]]:
+        """Return the upper limits of what :meth:`is_enabled` asks: pairs (place, the most tokens in
+        it with which transition number ``t`` has concession), first by inhibitor arcs, then by
+        capacities. One that adds more than a place can hold has a negative limit."""
+        limits = [(p, weight - 1) for p, weight in self.inhibitors[t]]
+        return limits + [(p, capacity - change) for p, change, capacity in self._capacities[t]]
+
     def enabled(self, marking: Sequence[int], *, by_priority: bool = True) -> Tuple[int, ...]:
         """Return the numbers of the enabled transitions. With ``by_priority``, immediate
         transitions take precedence over exponential ones, and of the immediate ones only those of

@@ -225,14 +225,11 @@ class _Writer(StagedNet):
     def _enabled(self, t: int) -> Optional[Needed]:
         """What enables ``t``; None if nothing does."""
         needs = {self._of[p]: w for p, w in self._net.inputs[t]}
-        below = {self._of[p]: w for p, w in self._net.inhibitors[t]}
-        for p, change in self._net.effect(t):
-            capacity = self._net.places[p].capacity
-            if capacity is not None and change > 0:
-                if change > capacity:
-                    return None
-                full = capacity - change + 1
-                below[self._of[p]] = min(full, below.get(self._of[p], full))
+        below: Dict[str, int] = {}
+        for p, most in self._net.most_tokens(t):
+            if most < 0:
+                return None
+            below[self._of[p]] = min(most + 1, below.get(self._of[p], most + 1))
         return Needed(needs, below)
 
     def _can_fire(self, p: int, t: int) -> Optional[Needed]:

@@ -763,7 +763,11 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "there are none",
         ["capacities"],
-        (net_arrays.marking_tests, "if change > 0 and capacity is not None:", "if False:"),
+        (
+            net_arrays.marking_tests,
+            "net.most_tokens(t)]",
+            "net.most_tokens(t)[: len(net.inhibitors[t])]]",
+        ),
     ),
     (
         "capacities",
@@ -772,8 +776,9 @@ _TABLE: Sequence[Any] = (
         ["capacities"],
         (
             net_arrays.marking_tests,
-            "for p, change in net.effect(t):",
-            "for p, change in net.outputs[t]:",
+            "net.most_tokens(t)]",
+            "[*net.most_tokens(t)[: len(net.inhibitors[t])], *((p, net.places[p].capacity - n) "
+            "for p, n in net.outputs[t] if net.places[p].capacity is not None)]]",
         ),
     ),
     (
@@ -795,11 +800,7 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "one more is allowed",
         ["inhibitors"],
-        (
-            net_arrays.marking_tests,
-            "[p, zero, -1, 1 - weight]",
-            "[p, zero, -1, -weight]",
-        ),
+        (net_arrays.marking_tests, "[p, zero, -1, -most]", "[p, zero, -1, -most - 1]"),
     ),
     (
         "inhibitors",

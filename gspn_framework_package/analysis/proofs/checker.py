@@ -142,16 +142,9 @@ def fulfils(formula: Formula, marking: Sequence[int]) -> bool:
 
 def guard(net: Net, t: int) -> Tuple[Atom, ...]:
     """What holds where transition number ``t`` is enabled, priorities aside."""
-    full = [
-        Atom(((p, -1),), change - capacity)
-        for p, change in net.effect(t)
-        for capacity in (net.places[p].capacity,)
-        if change > 0 and capacity is not None
-    ]
     return (
         *(Atom(((p, 1),), weight) for p, weight in net.inputs[t]),
-        *(Atom(((p, -1),), 1 - weight) for p, weight in net.inhibitors[t]),
-        *full,
+        *(Atom(((p, -1),), -most) for p, most in net.most_tokens(t)),
     )
 
 

@@ -19,12 +19,7 @@ def marking_tests(net: Net, t: int, zero: int) -> List[List[int]]:
     :param zero: the position of a count that is always 0.
     """
     tests = [[p, zero, 1, weight] for p, weight in net.inputs[t]]
-    tests += [[p, zero, -1, 1 - weight] for p, weight in net.inhibitors[t]]
-    for p, change in net.effect(t):
-        capacity = net.places[p].capacity
-        if change > 0 and capacity is not None:
-            tests.append([p, zero, -1, change - capacity])
-    return tests
+    return tests + [[p, zero, -1, -most] for p, most in net.most_tokens(t)]
 
 
 def places_read(net: Net, t: int) -> List[int]:

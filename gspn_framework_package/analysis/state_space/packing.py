@@ -152,12 +152,10 @@ class PackedNet(Packing):
 def thresholds(net: Net, t: int) -> dict[int, int]:
     """Place number -> the smallest count at which it disables transition number ``t``, by an
     inhibitor arc or because firing would exceed the place's capacity."""
-    found = dict(net.inhibitors[t])
-    for p, by in net.effect(t):
-        capacity = net.places[p].capacity
-        if by > 0 and capacity is not None:
-            full = max(capacity - by + 1, 0)
-            found[p] = min(found.get(p, full), full)
+    found: dict[int, int] = {}
+    for p, most in net.most_tokens(t):
+        full = max(most + 1, 0)
+        found[p] = min(found.get(p, full), full)
     return found
 
 

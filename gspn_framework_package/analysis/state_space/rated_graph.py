@@ -168,12 +168,8 @@ def enabled_in(net: Net, t: int, column: Callable[[int], Indices], count: int) -
     found = np.ones(count, dtype=bool)
     for p, weight in net.inputs[t]:
         found &= column(p) >= weight
-    for p, weight in net.inhibitors[t]:
-        found &= column(p) < weight
-    for p, change in net.effect(t):
-        capacity = net.places[p].capacity
-        if capacity is not None and change > 0:
-            found &= column(p).astype(np.int64) + change <= capacity
+    for p, most in net.most_tokens(t):
+        found &= (column(p) <= most) if most >= 0 else False
     return found
 
 

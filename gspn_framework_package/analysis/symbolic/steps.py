@@ -23,12 +23,12 @@ NO_STEP = -1
 _MOST_ROWS = 1_000_000
 """Largest number of rows of all steps together."""
 
-_Gone = FrozenSet[int]
 _MOST_CASES = 30_000
 """Largest number of sets of transitions that may still be enabled at some level: with more, the
 priorities do not fit the order of the places, and it would be tried in vain for long."""
 
 Range = Tuple[int, int]
+_Gone = FrozenSet[int]
 _Cases = List[Tuple[int, int, _Gone]]
 StepRows = Tuple[Tuple[int, int, int], ...]
 
@@ -52,11 +52,9 @@ NO_CONDITION = FiringRule({}, {})
 def rule_of(net: Net, t: int, level_of: Sequence[int]) -> Optional[FiringRule]:
     """The rule of a transition; None if no marking enables it."""
     least = dict(net.inputs[t])
-    below = dict(net.inhibitors[t])
-    for p, change in net.effect(t):
-        capacity = net.places[p].capacity
-        if capacity is not None and change > 0:
-            below[p] = min(below.get(p, MANY), capacity - change + 1)
+    below: Dict[int, int] = {}
+    for p, most in net.most_tokens(t):
+        below[p] = min(below.get(p, MANY), most + 1)
     guard = {
         level_of[p]: (least.get(p, 0), below.get(p, MANY)) for p in least.keys() | below.keys()
     }
@@ -123,9 +121,8 @@ class StepTable:
         self._known: Dict[Tuple[int, int, bool, StepRows], int] = {}
         self._steps: List[Tuple[int, int, bool, StepRows]] = [(0, 0, False, ())]
         self._rows = 0  # of the steps so far
-        self._rows_before = self._rows_allowed = (
-            0  # before the one that is being made, and most after it
-        )
+        self._rows_before = 0  # of those before the one that is being made
+        self._rows_allowed = 0  # most of them when it is made
         self._top: List[Set[Tuple[int, int, int, int]]] = [set() for _ in range(levels + 1)]
 
     def fire_from(self, step: int) -> None:
