@@ -23,6 +23,7 @@ from gspn_framework_package.analysis.preflight.report import (
     sequence,
 )
 from gspn_framework_package.analysis.preflight.structure import StructureChecks
+from gspn_framework_package.analysis.proofs.questions import DEAD, NO_ROW, MarkingQuestion
 from gspn_framework_package.analysis.state_space.coverability import CoverabilityTree
 from gspn_framework_package.analysis.state_space.rated_graph import enabled_in, rate_or_weight
 from gspn_framework_package.analysis.watch import Cancel, Progress
@@ -34,7 +35,13 @@ if TYPE_CHECKING:
 BY_PROOF = "state equation"
 """How questions were decided without visiting markings: also its invariants follow from it."""
 
+_PROOFS = {"dead_markings": DEAD, "policy": NO_ROW}
+"""The questions that proofs can decide."""
+
 DEAD_MARKING = "dead marking: nothing can happen"
+
+MARKINGS_BEFORE_PROOFS = 20_000
+"""Number of markings after which proofs are tried before more are visited."""
 
 TREE_NODES = 5_000
 """Largest number of nodes of the coverability tree that shows which places grow."""
@@ -64,11 +71,18 @@ class MarkingChecks:
         self._structure = structure
         self._list = checklist
         self._seconds = seconds
+        self._asked: Dict[str, List[Answer]] = {}
 
     def look_at_markings(self) -> PlanMarkings:
         """Visit markings, answer the open questions, and return the markings."""
         losses = self._robots_can_be_lost()
-        markings = self._visit(False)
+        markings = self._visit(False, min(self.limit, MARKINGS_BEFORE_PROOFS))
+        if (
+            not markings.complete
+            and len(markings.space) < self.limit
+            and not self._all_proven(markings)
+        ):
+            markings = self._visit(False)
         if losses and markings.complete:
             with_losses = self._visit(True)
             if with_losses.complete:
@@ -80,7 +94,7 @@ class MarkingChecks:
                     "teams that lost a robot were not checked: more than %d markings" % self.limit,
                 )
         left = list(self._structure.open)
-        if not markings.complete and self._seconds > 0:
+        if not markings.complete and (self._seconds > 0 or self._asked):
             left = self._not_decided_otherwise(left, markings)
         if not markings.complete and left:
             self._list.add(
@@ -121,23 +135,37 @@ class MarkingChecks:
             and not self._structure.standalone
         )
 
+    def _all_proven(self, markings: PlanMarkings) -> bool:
+        """Whether proofs decide all open questions, for teams that lost robots too, so that
+        visiting more markings would add little."""
+        return self._seconds > 0 and all(
+            question in _PROOFS
+            and not self._is_answered(question, markings)
+            and all(answer.certificate is not None for answer in self._answers(question))
+            for question in self._structure.open
+        )
+
+    def _is_answered(self, question: str, markings: PlanMarkings) -> bool:
+        """Whether the markings visited answer one of the questions that proofs can decide."""
+        if question == "dead_markings":
+            found = markings.dead(after_losses=False)
+        else:
+            found = itertools.chain(markings.policy_gaps(), markings.undecided_choices())
+        return next(found, None) is not None
+
     def _not_decided_otherwise(self, left: List[str], markings: PlanMarkings) -> List[str]:
         """The questions of ``left`` that are open even if they are put to proofs and to guided
         searches for witnesses, since the markings visited leave them open."""
-        # few plans need them, nor the solver that they import
-        from gspn_framework_package.analysis.proofs.questions import DEAD, NO_ROW
-
-        end = time.monotonic() + self._seconds
         decided = set()
-        if "dead_markings" in left and next(markings.dead(after_losses=False), None) is None:
-            for answer in self._answers(DEAD, end):
-                if self._report_dead(answer):
-                    decided.add("dead_markings")
-        silent = itertools.chain(markings.policy_gaps(), markings.undecided_choices())
-        if "policy" in left and next(silent, None) is None:
-            for answer in self._answers(NO_ROW, end):
-                if answer.certificate is not None:
-                    decided.add("policy")
+        for question in left:
+            if question not in _PROOFS or self._is_answered(question, markings):
+                continue
+            for answer in self._answers(question):
+                if question == "dead_markings":
+                    if self._report_dead(answer):
+                        decided.add(question)
+                elif answer.certificate is not None:
+                    decided.add(question)
                     self._list.add(
                         "policy",
                         Severity.OK,
@@ -148,23 +176,31 @@ class MarkingChecks:
                     )
         return [question for question in left if question not in decided]
 
-    def _answers(self, kind: str, end: float) -> List[Answer]:
-        """The answers to a question about the plan, also with the losses of robots."""
+    def _answers(self, question: str) -> List[Answer]:
+        """The answers to a question that proofs can decide, also with the losses of robots."""
+        if question in self._asked:
+            return self._asked[question]
+        # few plans need them, nor the solver that they import
         from gspn_framework_package.analysis.proofs.ladder import (
             decide_question,
             decide_with_losses,
         )
-        from gspn_framework_package.analysis.proofs.questions import MarkingQuestion
 
+        begun = time.monotonic()
         more: Dict[str, Any] = {
-            "seconds": max(end - time.monotonic(), 0.1),
+            "seconds": max(self._seconds, 0.1),
             "limit": 0,
             "progress": self.progress,
             "cancel": self.cancel,
         }
+        about = MarkingQuestion(_PROOFS[question])
         if self._robots_can_be_lost():
-            return decide_with_losses(self.plan, MarkingQuestion(kind), **more)
-        return [decide_question(self.plan, MarkingQuestion(kind), **more)]
+            answers = decide_with_losses(self.plan, about, **more)
+        else:
+            answers = [decide_question(self.plan, about, **more)]
+        self._seconds -= time.monotonic() - begun
+        self._asked[question] = answers
+        return answers
 
     def _as_long_as(self, answer: Answer) -> str:
         lost = answer.question.losses or not self._robots_can_be_lost()
@@ -192,9 +228,13 @@ class MarkingChecks:
         self._report_findings("dead_markings", Severity.WARNING, [finding], DEAD_MARKING)
         return True
 
-    def _visit(self, losses: bool) -> PlanMarkings:
+    def _visit(self, losses: bool, limit: Optional[int] = None) -> PlanMarkings:
         return PlanMarkings(
-            self.plan, self.limit, losses=losses, progress=self.progress, cancel=self.cancel
+            self.plan,
+            limit or self.limit,
+            losses=losses,
+            progress=self.progress,
+            cancel=self.cancel,
         )
 
     def _decide_conservative(self, markings: PlanMarkings) -> None:

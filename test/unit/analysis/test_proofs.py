@@ -15,7 +15,8 @@ from generated_plans import small_plans, with_events
 from hypothesis import given, settings
 
 from gspn_framework_package.analysis.plan.markings import PlanMarkings
-from gspn_framework_package.analysis.preflight import check
+from gspn_framework_package.analysis.preflight import MARKING_LIMIT, check
+from gspn_framework_package.analysis.preflight.markings import MARKINGS_BEFORE_PROOFS
 from gspn_framework_package.analysis.preflight.report import Severity
 from gspn_framework_package.analysis.proofs import prover, questions, witness
 from gspn_framework_package.analysis.proofs.checker import (
@@ -72,7 +73,7 @@ def never_dead(subject, losses=False, **more):
 )
 def test_answers_are_those_of_visiting_all_markings(subjects, number, monkeypatch):
     """Each answer may visit one marking: the rest is proofs and short guided searches."""
-    for name, most in (("FIRST_MARKINGS", 100), ("MOST_SEARCHED", 300), ("MOST_WALKS", 2)):
+    for name, most in (("MARKINGS_BEFORE_PROOFS", 100), ("MOST_SEARCHED", 300), ("MOST_WALKS", 2)):
         monkeypatch.setattr(witness, name, most)
     monkeypatch.setattr(witness, "LONGEST_WALK", 100)
     count = Counter()
@@ -153,10 +154,16 @@ def site(folder, **more):
 
 
 def test_a_plan_of_a_map_is_proven_but_not_if_robots_can_meet_head_on(tmp_path):
-    report = check(site(tmp_path), limit=100)
+    plan = site(tmp_path)
+    report = check(plan, limit=100)
     (item,) = report.of("dead_markings")
     assert item.severity is Severity.OK and item.details["losses"]
     assert not report.of("exploration")
+    whole = check(plan)
+    assert whole.of("dead_markings") == (item,), (
+        "no more markings than it takes to see they are many"
+    )
+    assert MARKINGS_BEFORE_PROOFS <= whole.states < MARKING_LIMIT // 2
     (tmp_path / "narrow").mkdir()
     narrow = site(tmp_path / "narrow", node_capacity=1)
     assert not never_dead(narrow)
