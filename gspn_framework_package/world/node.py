@@ -6,7 +6,9 @@ navigation.
 Private parameters: ``room`` (file), ``robots`` (a number N, for robot_1 to robot_N, or names
 separated by commas), ``real_time_factor`` (1 is real time, 0 as fast as possible), ``gui``,
 ``seed`` (of the times at which people come), ``duration`` (seconds of world time, 0 for no limit),
-``record`` (file to record the run in, for ``gspn film``).
+``record`` (file to record the run in, for ``gspn film``), ``navigation`` and ``localisation``
+(true, or false: ``move_base``, or ``amcl_pose`` and where the odometry is in the map, come from
+nodes of the user).
 """
 
 from __future__ import annotations
@@ -45,16 +47,31 @@ SCAN_EVERY = 2
 
 
 class _Robot:
-    """The ROS side of one robot."""
+    """The ROS side of one robot.
+
+    :param navigation: serve ``move_base``.
+    :param localisation: publish ``amcl_pose``, and where the odometry is in the map.
+
+    :ivar base: its ``move_base``, if it has one.
+    """
 
     def __init__(
-        self, name: str, team: DrivingTeam, hand_off: Callable[[Callable[[], None]], None]
+        self,
+        name: str,
+        team: DrivingTeam,
+        hand_off: Callable[[Callable[[], None]], None],
+        navigation: bool,
+        localisation: bool,
     ) -> None:
         self.name = name
         self._team = team
-        self.base = MoveBase(name, team, hand_off)
+        self.base = MoveBase(name, team, hand_off) if navigation else None
         self._odometry = self._publisher("odom", Odometry)
-        self._pose = self._publisher("amcl_pose", PoseWithCovarianceStamped, latch=True)
+        self._pose = (
+            self._publisher("amcl_pose", PoseWithCovarianceStamped, latch=True)
+            if localisation
+            else None
+        )
         self._temperature = self._publisher("temperature", Temperature)
         self._scan = self._publisher("scan", LaserScan)
         rospy.Subscriber(
@@ -73,7 +90,6 @@ class _Robot:
         pose, odometry = physics.pose(name), physics.odometry(name)
         odom, base = name + "/odom", name + "/base_footprint"
         self._odometry.publish(messages.odometry_message(odometry, stamp, odom, base))
-        self._pose.publish(messages.stamped_pose(pose, stamp, MAP_FRAME))
         self._temperature.publish(
             messages.temperature_message(physics.temperature(name), stamp, base)
         )
@@ -81,15 +97,18 @@ class _Robot:
             self._scan.publish(
                 messages.scan_message(physics.scan(name), self._team.room.robot, stamp, base)
             )
-        return [
-            messages.transform(messages.correction(pose, odometry[0]), stamp, MAP_FRAME, odom),
-            messages.transform(odometry[0], stamp, odom, base),
-        ]
+        transforms = [messages.transform(odometry[0], stamp, odom, base)]
+        if self._pose is not None:
+            self._pose.publish(messages.stamped_pose(pose, stamp, MAP_FRAME))
+            moved = messages.correction(pose, odometry[0])
+            transforms.append(messages.transform(moved, stamp, MAP_FRAME, odom))
+        return transforms
 
     def state(self) -> Dict[str, Any]:
         """The state of the robot for the page."""
         pose = self._team.physics.pose(self.name)
-        navigator, goal = self._team.navigators[self.name], self.base.target
+        navigator = self._team.navigators[self.name]
+        goal = self.base.target if self.base is not None else None
         return {
             "pose": [round(pose.x, 3), round(pose.y, 3), round(pose.yaw, 3)],
             "goal": [round(goal.x, 3), round(goal.y, 3), round(goal.yaw, 3)] if goal else None,
@@ -108,6 +127,9 @@ class WorldNode:
         possible.
     :param gui: open PyBullet's window.
     :param seed: seed of the times at which people come.
+    :param navigation: serve ``move_base`` for every robot.
+    :param localisation: publish ``amcl_pose`` for every robot, and where its odometry is in the
+        map.
     """
 
     def __init__(
@@ -117,6 +139,8 @@ class WorldNode:
         real_time_factor: float = 1.0,
         gui: bool = False,
         seed: int = 0,
+        navigation: bool = True,
+        localisation: bool = True,
     ) -> None:
         self._factor = real_time_factor
         self.team = DrivingTeam(room, robots, gui=gui, seed=seed)
@@ -128,7 +152,9 @@ class WorldNode:
         self._room = rospy.Publisher("/world/room", String, queue_size=1, latch=True)
         self._state = rospy.Publisher("/world/state", String, queue_size=2)
         self._report = rospy.Publisher("/world/referee", String, queue_size=1, latch=True)
-        self._robots = [_Robot(name, self.team, self._inbox.put) for name in robots]
+        self._robots = [
+            _Robot(name, self.team, self._inbox.put, navigation, localisation) for name in robots
+        ]
         self._map.publish(messages.map_message(self.team.grid, MAP_FRAME))
         self._room.publish(json.dumps(room.as_json()))
         self._somebody = False
@@ -159,7 +185,8 @@ class WorldNode:
         self._clock.publish(Clock(stamp))
         transforms: List[Any] = []
         for robot in self._robots:
-            robot.base.update()
+            if robot.base is not None:
+                robot.base.update()
             transforms += robot.publish(stamp, self._steps % SCAN_EVERY == 0)
         self._tf.publish(TFMessage(transforms))
         wall = time.monotonic()
@@ -243,7 +270,10 @@ def main() -> int:
             number_parameter("duration", 0.0),
         )
         gui, seed = bool(rospy.get_param("~gui", False)), int(number_parameter("seed", 0))
-        node = WorldNode(room, robots, factor, gui, seed)
+        navigation, localisation = (
+            bool(rospy.get_param("~" + part, True)) for part in ("navigation", "localisation")
+        )
+        node = WorldNode(room, robots, factor, gui, seed, navigation, localisation)
         speed = "%g times real time" % factor if factor else "as fast as possible"
         rospy.loginfo("world: '%s' with %d robots, %s", room.name, len(robots), speed)
         recording = str(rospy.get_param("~record", ""))
