@@ -1,5 +1,5 @@
-"""Plans of maps with the shape of real sites, each with 190 nodes and 437 edges, for measuring what
-can be proven of them."""
+"""Plans of maps with the shape of real sites, each with 190 nodes and 437 edges, and of a larger
+grid, for measuring what can be proven of them."""
 
 from __future__ import annotations
 
@@ -44,7 +44,16 @@ def office() -> Tuple[Nodes, Edges]:
     return nodes, [*edges, *(("r%d" % i, "r%d" % (i + 2)) for i in range(0, 112, 4))]
 
 
-SITES = {"farm": farm, "warehouse": warehouse, "office": office}
+def grid() -> Tuple[Nodes, Edges]:
+    """A hall of 20 by 20 nodes, with 760 edges."""
+    nodes: Nodes = {"g%d_%d" % (x, y): [3 * x, 3 * y] for x in range(20) for y in range(20)}
+    edges = [("g%d_%d" % (x, y), "g%d_%d" % (x + 1, y)) for x in range(19) for y in range(20)]
+    return nodes, edges + [
+        ("g%d_%d" % (x, y), "g%d_%d" % (x, y + 1)) for x in range(20) for y in range(19)
+    ]
+
+
+SITES = {"farm": farm, "warehouse": warehouse, "office": office, "grid": grid}
 
 
 def site_plan(site: str, robots: int, folder: Path, **more: object) -> Plan:

@@ -30,7 +30,7 @@ from gspn_framework_package.analysis.proofs.checker import (
     guard,
     written_lemma,
 )
-from gspn_framework_package.analysis.structure.invariants import place_invariants
+from gspn_framework_package.analysis.structure.invariants import Invariant, place_invariants
 from gspn_framework_package.analysis.structure.siphons import Directions, largest_trap
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError
@@ -38,6 +38,9 @@ from gspn_framework_package.model.net import Net
 
 INVARIANT_STEPS = 200_000
 """Longest search for the invariants that bound the places, in steps."""
+
+FEW_PLACES = (30, 6)
+"""Numbers of places to which invariants are limited, if there are too many."""
 
 MOST_INVARIANTS = 5_000
 """Most invariants that a proof starts with."""
@@ -328,16 +331,22 @@ def _first_lemmas(problem: Problem, watch: Watch) -> Iterator[Some]:
         [net.transitions[t] for t in kept],
         [arc for arc in net.arcs if arc.source in names or arc.target in names],
     )
-    try:
-        invariants = place_invariants(moving, INVARIANT_STEPS, watch)[:MOST_INVARIANTS]
-    except LimitError:
-        return
-    for invariant in invariants:
+    for invariant in _some_invariants(moving, watch):
         terms = tuple((net.place_number(name), w) for name, w in invariant.weights.items())
         value = sum(w * net.initial_marking[p] for p, w in terms)
         yield Some((Atom(tuple((p, -w) for p, w in terms), -value),))
         if lowered.isdisjoint(p for p, _ in terms):
             yield Some((Atom(terms, value),))
+
+
+def _some_invariants(net: Net, watch: Watch) -> List[Invariant]:
+    """The invariants of a net; if these are too many, those of few places."""
+    for largest in (None, *FEW_PLACES):
+        try:
+            return place_invariants(net, INVARIANT_STEPS, watch, largest)[:MOST_INVARIANTS]
+        except LimitError:
+            continue
+    return []
 
 
 def _own_bound(net: Net, effects: Dict[int, Dict[int, int]], p: int) -> Optional[int]:

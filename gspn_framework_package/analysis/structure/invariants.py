@@ -55,16 +55,20 @@ class Invariant(NamedTuple):
 
 
 def place_invariants(
-    net: Net, limit: int = STRUCTURE_LIMIT, watch: Optional[Watch] = None
+    net: Net,
+    limit: int = STRUCTURE_LIMIT,
+    watch: Optional[Watch] = None,
+    largest: Optional[int] = None,
 ) -> List[Invariant]:
     """The minimal-support P-invariants.
 
+    :param largest: those with more places may be missing.
     :raises LimitError: the search took more than ``limit`` steps.
     """
     names = [p.name for p in net.places]
     return [
         Invariant({names[p]: w for p, w in row}, sum(w * net.initial_marking[p] for p, w in row))
-        for row in _place_semiflows(net, Effort(limit, watch))
+        for row in _semiflows(_place_columns(net), Effort(limit, watch), largest)
     ]
 
 
@@ -172,12 +176,15 @@ def _place_semiflows(net: Net, effort: Effort) -> List[Semiflow]:
     return _semiflows(_place_columns(net), effort)
 
 
-def _semiflows(columns: _Columns, effort: Effort) -> List[Semiflow]:
-    """The minimal-support non-negative integer combinations of ``columns`` that give zero."""
+def _semiflows(columns: _Columns, effort: Effort, largest: Optional[int] = None) -> List[Semiflow]:
+    """The minimal-support non-negative integer combinations of ``columns`` that give zero.
+
+    :param largest: those of more columns may be missing.
+    """
     simple = _Elimination(columns, effort)
     found = [_primitive(row.weights) for row in simple.rows if not row.residual]
     atoms = [row for row in simple.rows if row.residual]
-    for combination in _combined([row.residual for row in atoms], effort):
+    for combination in _combined([row.residual for row in atoms], effort, largest):
         weights: Dict[int, int] = {}
         for atom, times in combination.items():
             effort.spend(len(atoms[atom].weights), _ROWS)
@@ -346,8 +353,13 @@ def _afford_rows(rows: int, effort: Effort) -> int:
     return steps
 
 
-def _combined(residuals: Sequence[Dict[int, int]], effort: Effort) -> List[Dict[int, int]]:
-    """The minimal-support non-negative integer combinations of ``residuals`` that give zero."""
+def _combined(
+    residuals: Sequence[Dict[int, int]], effort: Effort, largest: Optional[int]
+) -> List[Dict[int, int]]:
+    """The minimal-support non-negative integer combinations of ``residuals`` that give zero.
+
+    :param largest: those of more residuals are left out. Supports only grow, so no other is lost.
+    """
     effort.spend(_afford_rows(len(residuals), effort), _ROWS)
     rows: Dict[int, _Row] = {
         i: _Row(1 << i, {i: 1}, dict(column)) for i, column in enumerate(residuals)
@@ -370,7 +382,9 @@ def _combined(residuals: Sequence[Dict[int, int]], effort: Effort) -> List[Dict[
         fresh: List[_Row] = []
         for a in sorted(positive):
             for b in sorted(negative):
-                fresh.append(_combine(rows[a], rows[b], index))
+                row = _combine(rows[a], rows[b], index)
+                if largest is None or len(row.weights) <= largest:
+                    fresh.append(row)
                 effort.spend(
                     8 + len(rows[a].residual) + len(rows[a].weights),
                     _ROWS,

@@ -73,7 +73,7 @@ def never_dead(subject, losses=False, **more):
 )
 def test_answers_are_those_of_visiting_all_markings(subjects, number, monkeypatch):
     """Each answer may visit one marking: the rest is proofs and short guided searches."""
-    for name, most in (("MARKINGS_BEFORE_PROOFS", 100), ("MOST_SEARCHED", 300), ("MOST_WALKS", 2)):
+    for name, most in (("FIRST_MARKINGS", 100), ("MOST_SEARCHED", 300), ("MOST_WALKS", 2)):
         monkeypatch.setattr(witness, name, most)
     monkeypatch.setattr(witness, "LONGEST_WALK", 100)
     count = Counter()

@@ -66,6 +66,10 @@ def test_place_invariants_by_definition(net):
             for t in range(len(net.transitions))
         ):
             assert any(s <= set(named) for s in supports)
+    for largest in (1, 2, 3):
+        small = place_invariants(net, largest=largest)
+        assert all(invariant in found for invariant in small)
+        assert all(i in small for i in found if len(i.weights) <= largest)
 
 
 @relaxed
