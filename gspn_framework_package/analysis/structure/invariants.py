@@ -68,7 +68,7 @@ def place_invariants(
     names = [p.name for p in net.places]
     return [
         Invariant({names[p]: w for p, w in row}, sum(w * net.initial_marking[p] for p, w in row))
-        for row in _semiflows(_place_columns(net), Effort(limit, watch), largest)
+        for row in _place_semiflows(net, Effort(limit, watch), largest)
     ]
 
 
@@ -172,8 +172,8 @@ def _place_columns(net: Net) -> _Columns:
     return _Columns(len(net.places), places, transitions, values, up)
 
 
-def _place_semiflows(net: Net, effort: Effort) -> List[Semiflow]:
-    return _semiflows(_place_columns(net), effort)
+def _place_semiflows(net: Net, effort: Effort, largest: Optional[int] = None) -> List[Semiflow]:
+    return _semiflows(_place_columns(net), effort, largest)
 
 
 def _semiflows(columns: _Columns, effort: Effort, largest: Optional[int] = None) -> List[Semiflow]:
