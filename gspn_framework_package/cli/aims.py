@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from typing import Callable, Dict, Sequence, TypeVar
+from typing import Callable, Dict, Mapping, Optional, Sequence, TypeVar
 
 from gspn_framework_package.analysis.decisions.aims import Aim, Objective
 from gspn_framework_package.cli import numbers
@@ -33,26 +33,53 @@ AIM_OPTIONS: Arguments = {
 
 
 def objective_of(args: argparse.Namespace) -> Objective:
-    """The aim in the arguments. :raises UsageError: there is none, there are several, or it is
-    inconsistent."""
-    rewards = pairs(args.reward, "--reward", float, "NAME=NUMBER")
+    """The aim in the arguments. :raises UsageError: see :func:`the_objective`."""
+    return the_objective(
+        pairs(args.reward, "--reward", float, "NAME=NUMBER"),
+        mean_time_to=args.mean_time_to,
+        cost_to=args.cost_to,
+        reach=args.reach,
+        discount=args.discount,
+        minimise=args.minimise,
+    )
+
+
+def the_objective(
+    rewards: Mapping[str, float],
+    *,
+    mean_time_to: Optional[str] = None,
+    cost_to: Optional[str] = None,
+    reach: Optional[str] = None,
+    discount: Optional[float] = None,
+    minimise: bool = False,
+) -> Objective:
+    """The one aim that is given.
+
+    :param rewards: name of a place or transition -> reward per token and second, or per firing.
+    :param mean_time_to: a condition that is to hold as soon as possible.
+    :param cost_to: a condition that is to hold at the least cost.
+    :param reach: a condition that is to hold as probably as possible.
+    :param discount: rate (1/s) at which later rewards count less.
+    :param minimise: whether less is better.
+    :raises UsageError: there is no aim, there are several, or it is inconsistent.
+    """
     conditions = [
         (option, goal)
         for option, goal in (
-            ("--mean-time-to", args.mean_time_to),
-            ("--cost-to", args.cost_to),
-            ("--reach", args.reach),
+            ("--mean-time-to", mean_time_to),
+            ("--cost-to", cost_to),
+            ("--reach", reach),
         )
         if goal is not None
     ]
     if len(conditions) > 1:
         raise UsageError("%s and %s are two aims" % (conditions[0][0], conditions[1][0]))
-    if conditions and args.discount is not None:
+    if conditions and discount is not None:
         raise UsageError("%s and --discount are two aims" % conditions[0][0])
     option, goal = conditions[0] if conditions else ("", "")
     if rewards and option in ("--mean-time-to", "--reach"):
         raise UsageError("%s has no rewards" % option)
-    if args.minimise and option in ("--mean-time-to", "--cost-to"):
+    if minimise and option in ("--mean-time-to", "--cost-to"):
         raise UsageError("%s is minimised in any case" % option)
     if option == "--mean-time-to":
         return Objective.time_to(goal)
@@ -64,11 +91,11 @@ def objective_of(args: argparse.Namespace) -> Objective:
         raise UsageError(
             "there is no aim", hint="give --reward, --mean-time-to, --cost-to or --reach"
         )
-    elif args.discount is not None:
-        objective = Objective.discounted(rewards, args.discount)
+    elif discount is not None:
+        objective = Objective.discounted(rewards, discount)
     else:
         objective = Objective(Aim.LONG_RUN, rewards)
-    return dataclasses.replace(objective, maximise=not args.minimise)
+    return dataclasses.replace(objective, maximise=not minimise)
 
 
 def pairs(

@@ -20,6 +20,7 @@ from gspn_framework_package.ros.check_all import check_all
 if TYPE_CHECKING:
     from gspn_framework_package.analysis.proofs.ladder import Answer
     from gspn_framework_package.analysis.proofs.questions import MarkingQuestion
+    from gspn_framework_package.analysis.watch import Progress
 
 _QUESTIONS: Arguments = {
     repeated("--never", "CONDITION"): (
@@ -118,12 +119,20 @@ def _decide(args: argparse.Namespace) -> int:
     else:
         subject = read_net_or_plan(args.plan).net
         questions = proofs.asked(args, subject)
-    answers = _answers(args, subject, questions)
+    with ProgressLine() as progress:
+        answers = decide_all(
+            subject,
+            questions,
+            seconds=args.seconds,
+            limit=args.limit,
+            standalone=args.standalone,
+            progress=progress,
+        )
     data["answers"] = [answer.to_json() for answer in answers]
     if args.json:
         print(json.dumps(data, indent=2))
     else:
-        print("\n".join(map(_text, answers)))
+        print("\n".join(map(answer_text, answers)))
     if args.certificate:
         found = [
             {"question": answer.question._asdict(), "certificate": answer.certificate}
@@ -131,43 +140,51 @@ def _decide(args: argparse.Namespace) -> int:
             if answer.certificate is not None
         ]
         proofs.write_proofs(args.certificate, args, found)
-    return code or int(not _all_proven(answers))
+    return code or int(not all_proven(answers))
 
 
-def _answers(
-    args: argparse.Namespace, subject: Union[Net, Plan], questions: List[MarkingQuestion]
+def decide_all(
+    subject: Union[Net, Plan],
+    questions: List[MarkingQuestion],
+    *,
+    seconds: float,
+    limit: int,
+    standalone: bool,
+    progress: Progress,
 ) -> List[Answer]:
-    """The answers, also with the losses of robots if these are possible."""
+    """The answers, also with the losses of robots if these are possible.
+
+    :param seconds: time for each question (s).
+    :param limit: the most markings to visit for each.
+    :param standalone: whether the plan is for agents, which are never lost.
+    :param progress: called with the progress.
+    """
     from gspn_framework_package.analysis.proofs.ladder import decide_question, decide_with_losses
 
     lossy = (
         isinstance(subject, Plan)
         and subject.timing.evict_after > 0
         and len(subject.robots) > 1
-        and not args.standalone
+        and not standalone
     )
+    more: Dict[str, Any] = {"seconds": seconds, "limit": limit, "progress": progress}
     found: List[Answer] = []
-    with ProgressLine() as progress:
-        for question in questions:
-            more: Dict[str, Any] = {
-                "seconds": args.seconds,
-                "limit": args.limit,
-                "progress": progress,
-            }
-            if lossy:
-                found += decide_with_losses(subject, question, **more)
-            else:
-                found.append(decide_question(subject, question, **more))
+    for question in questions:
+        if lossy:
+            found += decide_with_losses(subject, question, **more)
+        else:
+            found.append(decide_question(subject, question, **more))
     return found
 
 
-def _all_proven(answers: List[Answer]) -> bool:
+def all_proven(answers: List[Answer]) -> bool:
     """Whether each question is proven, at least as long as no robot is lost."""
     proven = {a.question._replace(losses=False) for a in answers if a.certificate is not None}
     return all(answer.question._replace(losses=False) in proven for answer in answers)
 
 
-def _text(answer: Answer) -> str:
+def answer_text(answer: Answer) -> str:
+    """The answer to a question, in a line."""
     said = "%-12s %s" % (answer.verdict, answer.question.statement)
     last = answer.steps[-1]
     if answer.sequence is not None:

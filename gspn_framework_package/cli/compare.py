@@ -6,7 +6,7 @@ import argparse
 import json
 import math
 import re
-from typing import Any, Dict, Iterator, List, NamedTuple, Sequence, Tuple
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.analysis.executors import Executor, open_executor
 from gspn_framework_package.analysis.monitoring.comparison import (
@@ -24,7 +24,7 @@ from gspn_framework_package.analysis.monitoring.prediction import (
     predict,
 )
 from gspn_framework_package.analysis.monitoring.streams import PACES
-from gspn_framework_package.analysis.watch import Watch
+from gspn_framework_package.analysis.watch import Progress, Watch
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.limits import ON_OPTION
 from gspn_framework_package.cli.net_input import print_notes
@@ -88,7 +88,7 @@ class _Run(NamedTuple):
     attempts: List[Attempt]
 
 
-class _Result(NamedTuple):
+class LogComparison(NamedTuple):
     """The comparison of some runs with their plan; a monitor for each run."""
 
     comparison: RunComparison
@@ -136,14 +136,20 @@ def run(args: argparse.Namespace) -> int:
     """Compare runs with the prediction, and print the result."""
     plan = read_plan(args.plan)
     with open_executor(args.on) as executor, ProgressLine() as progress:
-        runs, notes = _read_runs(plan, log_files(args.logs), progress)
-        notes = [*plan.notes, *notes]
-        result = _compare(plan, runs, notes, args, progress, executor)
+        result = compare_logs(
+            plan,
+            args.logs,
+            alarm_every=args.alarm_every,
+            replications=args.replications,
+            seed=args.seed,
+            progress=progress,
+            on=executor,
+        )
     if args.json:
         print(json.dumps(result.to_json(), indent=2, allow_nan=False))
     else:
         print_notes(result.notes)
-        print("\n".join(_text(result)))
+        print("\n".join(comparison_text(result)))
     return 1 if result.departs else 0
 
 
@@ -151,7 +157,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _read_runs(
-    plan: Plan, paths: Sequence[str], progress: ProgressLine
+    plan: Plan, paths: Sequence[str], progress: Progress
 ) -> Tuple[List[_Run], List[str]]:
     gathered = gather(paths, plan, progress)
     notes = list(gathered.notes)
@@ -167,7 +173,7 @@ def _read_runs(
     return runs, notes
 
 
-def _observe(plan: Plan, path: str, progress: ProgressLine) -> Tuple[str, RunObserver]:
+def _observe(plan: Plan, path: str, progress: Progress) -> Tuple[str, RunObserver]:
     """Follow a log from beginning to end."""
     file = LogFile(path)
     follower = AttemptFollower(
@@ -191,25 +197,38 @@ def _observe(plan: Plan, path: str, progress: ProgressLine) -> Tuple[str, RunObs
 # -- comparing -------------------------------------------------------------------------------------
 
 
-def _compare(
+def compare_logs(
     plan: Plan,
-    runs: List[_Run],
-    notes: List[str],
-    args: argparse.Namespace,
-    progress: ProgressLine,
-    executor: Executor,
-) -> _Result:
+    paths: Sequence[str],
+    *,
+    alarm_every: float = ALARM_EVERY,
+    replications: Optional[int] = None,
+    seed: int = 0,
+    progress: Progress,
+    on: Optional[Executor] = None,
+) -> LogComparison:
+    """Compare runs of a plan, as their logs show them, with its prediction.
+
+    :param paths: event logs, or folders of them.
+    :param alarm_every: mean time (s) between false alarms of all streams together.
+    :param replications: number of simulated runs; None: as many as are needed.
+    :param seed: seed of the simulated runs.
+    :param progress: called with the progress.
+    :param on: where to simulate: by default in this process.
+    :raises LogError: a log cannot be read, contains no run, or belongs to another net.
+    """
+    runs, notes = _read_runs(plan, log_files(paths), progress)
+    notes = [*plan.notes, *notes]
     ends = plan.until is not None
     spans = [
         Span(r.observer.start_of(plan), r.observer.seconds, r.observer.came and ends) for r in runs
     ]
-    asked = {"replications": args.replications, "seed": args.seed}
-    sample = predict(spans, **asked, progress=progress, on=executor)
+    sample = predict(spans, replications=replications, seed=seed, progress=progress, on=on)
     comparison = compare(plan, sample, _observed(runs))
     paces = expected_paces(plan, sample)
-    monitors = [_watch(plan, r, paces, args.alarm_every, progress) for r in runs]
+    monitors = [_watch(plan, r, paces, alarm_every, progress) for r in runs]
     notes = notes + ["assumed: %s" % text for text in PlanTiming(plan).assumptions]
-    return _Result(comparison, runs, monitors, notes, args.alarm_every, sample.size)
+    return LogComparison(comparison, runs, monitors, notes, alarm_every, sample.size)
 
 
 def _observed(runs: Sequence[_Run]) -> Observed:
@@ -226,7 +245,7 @@ def _observed(runs: Sequence[_Run]) -> Observed:
 
 
 def _watch(
-    plan: Plan, run: _Run, paces: Dict[str, float], alarm_every: float, progress: ProgressLine
+    plan: Plan, run: _Run, paces: Dict[str, float], alarm_every: float, progress: Progress
 ) -> Monitor:
     observer = run.observer
     monitor = Monitor(observer.start_of(plan), observer.robots, paces, alarm_every)
@@ -238,7 +257,8 @@ def _watch(
 # -- output for people -----------------------------------------------------------------------------
 
 
-def _text(result: _Result) -> Iterator[str]:
+def comparison_text(result: LogComparison) -> Iterator[str]:
+    """Yield the lines of a comparison."""
     runs = result.runs
     yield "%d run%s, %.6g s, %s attempts; predicted by %d simulated runs" % (
         len(runs),

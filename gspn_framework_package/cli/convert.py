@@ -125,10 +125,10 @@ def run(args: argparse.Namespace) -> int:
         net = expand_place(net, place, subnet, entry, leaving)
         notes += subnet_notes
     if args.output == "-":
-        data, losses = encode_net(net, target, _bounds(net, target))
+        data, losses = encode_net(net, target, bounds_for(net, target))
         sys.stdout.buffer.write(data)
     else:
-        losses = write_net(net, args.output, target.name, _bounds(net, target))
+        losses = write_net(net, args.output, target.name, bounds_for(net, target))
     done = {"output": args.output, "format": target.name, "net": net.name}
     sizes = {
         "places": len(net.places),
@@ -156,7 +156,7 @@ def _tell(args: argparse.Namespace, done: Dict[str, Any], notes: List[str]) -> i
     return 0
 
 
-def _bounds(net: Net, target: Format) -> Dict[str, int]:
+def bounds_for(net: Net, target: Format) -> Dict[str, int]:
     """Return upper bounds on the tokens of places, for formats that need them, as far as invariants
     provide them."""
     if not target.takes_bounds:

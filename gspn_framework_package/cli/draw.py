@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import List, Union
+from typing import List, Optional, Union
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.drawing import chain_graph, note_of_rates_left_out, tree_graph
@@ -28,12 +28,13 @@ from gspn_framework_package.model.plan import Plan
 DEFAULT_LIMIT = 500
 """Default maximum number of nodes in a drawn tree or chain; a larger picture is unreadable."""
 
+DRAWINGS = ("net", "coverability", "chain")
 
 _OPTIONS: Arguments = {
     Argument("-o --output", "OUT", required=True): (
         "the picture to write: .%s, or .dot for Graphviz" % ", .".join(IMAGE_FORMATS)
     ),
-    choice("--what", ("net", "coverability", "chain"), "net"): (
+    choice("--what", DRAWINGS, "net"): (
         "what to draw (default: net); for a plan, the chain under its policy"
     ),
     Argument("--limit", "N", numbers.markings, DEFAULT_LIMIT): (
@@ -61,7 +62,11 @@ def run(args: argparse.Namespace) -> int:
         )
     subject, notes = read_net_or_plan_argument(args)
     is_text = image in ("dot", "gv")
-    graph = _graph(subject, args.what, args.limit, notes, is_text)
+
+    def make(progress: Progress, cancel: Cancel) -> Graph:
+        return graph_of(subject, args.what, args.limit, notes, is_text, progress, cancel)
+
+    graph = working(make, DEFAULT_MEMORY, "")
     text = graph.text()
     if is_text:
         write_bytes(args.output, text.encode("utf-8"))
@@ -71,24 +76,33 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _graph(
-    subject: Union[Net, Plan], what: str, limit: int, notes: List[str], everything: bool
+def graph_of(
+    subject: Union[Net, Plan],
+    what: str = "net",
+    limit: int = DEFAULT_LIMIT,
+    notes: Optional[List[str]] = None,
+    everything: bool = False,
+    progress: Optional[Progress] = None,
+    cancel: Optional[Cancel] = None,
 ) -> Graph:
+    """The graph to draw.
+
+    :param what: one of :data:`DRAWINGS`.
+    :param limit: the most markings to draw.
+    :param notes: receives remarks on what was left out.
+    :param everything: leave nothing out.
+    :raises GspnError: it was not computed.
+    """
     net = subject.net if isinstance(subject, Plan) else subject
     if what == "net":
         return net_graph(net, subnets=subject.subnets if isinstance(subject, Plan) else {})
-
-    def draw(progress: Progress, cancel: Cancel) -> Graph:
-        if what == "coverability":
-            return tree_graph(
-                CoverabilityTree(
-                    net, limit=limit, progress=progress, cancel=cancel, memory=DEFAULT_MEMORY
-                )
-            )
-        chain = Analysis(subject, limit=limit, progress=progress, cancel=cancel).chain
-        note = "" if everything else note_of_rates_left_out(chain)
-        if note:
-            notes.append(note)
-        return chain_graph(chain, note)
-
-    return working(draw, DEFAULT_MEMORY, "")
+    if what == "coverability":
+        tree = CoverabilityTree(
+            net, limit=limit, progress=progress, cancel=cancel, memory=DEFAULT_MEMORY
+        )
+        return tree_graph(tree)
+    chain = Analysis(subject, limit=limit, progress=progress, cancel=cancel).chain
+    note = "" if everything else note_of_rates_left_out(chain)
+    if note and notes is not None:
+        notes.append(note)
+    return chain_graph(chain, note)

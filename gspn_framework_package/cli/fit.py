@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from typing import List, Mapping, NamedTuple, Sequence, Tuple
+from typing import List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
-from gspn_framework_package.analysis.executors import open_executor
+from gspn_framework_package.analysis.executors import Executor, open_executor
 from gspn_framework_package.analysis.fitting import FitReport, PlaceFit, family_choices, fit_plan
 from gspn_framework_package.analysis.limits import DEFAULT_MEMORY
 from gspn_framework_package.analysis.watch import Cancel, Progress
@@ -100,7 +100,7 @@ def _print(learned: Learned, notes: Sequence[str], as_json: bool) -> None:
         "%d attempts in %d log%s of %d run%s"
         % (learned.attempts, *_many(len(learned.logs)), *_many(learned.runs))
     )
-    for line in _table(learned.report):
+    for line in fit_table(learned.report):
         print(line)
     print_notes([*learned.report.notes, *notes])
 
@@ -111,9 +111,6 @@ def learn(plan: Plan, paths: Sequence[str], choice: str, seed: int, on: str = "l
     :param on: the executor, as given by ``--on``.
     :raises LogError: a log cannot be read, or belongs to another net.
     """
-    files = log_files(paths)
-    bags = [path for path in files if path.endswith(".bag")]
-    files = [path for path in files if path not in bags]
 
     def work(progress: Progress, cancel: Cancel) -> Learned:
         def tell(what: str, count: int, seconds: float) -> None:
@@ -121,26 +118,49 @@ def learn(plan: Plan, paths: Sequence[str], choice: str, seed: int, on: str = "l
                 raise CancelledError("the fit was interrupted")
             progress(what, count, seconds)
 
-        attempts: List[Attempt] = []
-        events: Mapping[str, EventCount] = {}
-        notes: List[str] = []
-        runs = 0
-        if files:
-            gathered = gather(files, plan, tell)
-            attempts, events = list(gathered.attempts), gathered.events
-            notes, runs = list(gathered.notes), len(gathered.runs)
-        for number, path in enumerate(bags, len(files)):
-            found, told, of = _from_bag(plan, path, number)
-            attempts += found
-            notes += told
-            runs += of
         with open_executor(on) as executor:
-            report = fit_plan(plan, attempts, events, choice, seed=seed, progress=tell, on=executor)
-        report = report._replace(notes=(*notes, *report.notes))
-        names = tuple(os.path.basename(name) for name in (*files, *bags))
-        return Learned(report, names, runs, len(attempts))
+            return learn_from_logs(plan, paths, choice, seed, tell, executor)
 
     return working(work, DEFAULT_MEMORY, "")
+
+
+def learn_from_logs(
+    plan: Plan,
+    paths: Sequence[str],
+    choice: str,
+    seed: int,
+    progress: Progress,
+    on: Optional[Executor] = None,
+) -> Learned:
+    """Read logs and fit the plan.
+
+    :param paths: event logs and rosbags, or folders of them.
+    :param choice: the family of the durations, or ``auto``.
+    :param seed: seed of the simulated tests.
+    :param progress: called with the progress.
+    :param on: where to compute: by default in this process.
+    :raises LogError: a log cannot be read, or belongs to another net.
+    """
+    files = log_files(paths)
+    bags = [path for path in files if path.endswith(".bag")]
+    files = [path for path in files if path not in bags]
+    attempts: List[Attempt] = []
+    events: Mapping[str, EventCount] = {}
+    notes: List[str] = []
+    runs = 0
+    if files:
+        gathered = gather(files, plan, progress)
+        attempts, events = list(gathered.attempts), gathered.events
+        notes, runs = list(gathered.notes), len(gathered.runs)
+    for number, path in enumerate(bags, len(files)):
+        found, told, of = _from_bag(plan, path, number)
+        attempts += found
+        notes += told
+        runs += of
+    report = fit_plan(plan, attempts, events, choice, seed=seed, progress=progress, on=on)
+    report = report._replace(notes=(*notes, *report.notes))
+    names = tuple(os.path.basename(name) for name in (*files, *bags))
+    return Learned(report, names, runs, len(attempts))
 
 
 def _from_bag(plan: Plan, path: str, number: int) -> Tuple[List[Attempt], List[str], int]:
@@ -178,7 +198,7 @@ def _many(count: int) -> Tuple[int, str]:
     return count, "" if count == 1 else "s"
 
 
-def _table(report: FitReport) -> List[str]:
+def fit_table(report: FitReport) -> List[str]:
     """The report as lines of text."""
     rows: List[Tuple[str, ...]] = [("place", "n", "cut", "mean [s]", "95 %", "distribution", "p")]
     rows += [_row(place, found) for place, found in report.places.items()]

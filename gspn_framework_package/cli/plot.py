@@ -6,7 +6,7 @@ import argparse
 import logging
 import warnings
 from pathlib import Path
-from typing import Any, List, Mapping, Sequence, Union
+from typing import Any, BinaryIO, List, Mapping, Optional, Sequence, Union
 
 import numpy as np
 
@@ -90,9 +90,13 @@ def run(args: argparse.Namespace) -> int:
     limits = limits_of(args)
 
     def make(progress: Progress, cancel: Cancel) -> Any:
-        return _figure(
+        return figure_of(
             Analysis(subject, limits=limits, structure=False, progress=progress, cancel=cancel),
-            args,
+            args.what,
+            time=args.time,
+            points=args.points,
+            only=args.only,
+            condition=args.condition,
         )
 
     save_picture(working(make, limits.memory), args.output)
@@ -117,11 +121,14 @@ def begin_picture(path: str) -> None:
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
 
-def save_picture(figure: Any, path: str) -> None:
-    """Save a figure of matplotlib."""
+def save_picture(figure: Any, file: Union[str, BinaryIO], image: Optional[str] = None) -> None:
+    """Save a figure of matplotlib.
+
+    :param image: the format; None: that of the file's name.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        figure.savefig(path, dpi=150)
+        figure.savefig(file, dpi=150, format=image)
 
 
 def _plot_fit(subject: Union[Net, Plan], notes: List[str], args: argparse.Namespace) -> int:
@@ -184,30 +191,49 @@ def fit_figure(places: Mapping[str, PlaceFit]) -> Any:
     return figure
 
 
-def _figure(analysis: Analysis, args: argparse.Namespace) -> Any:
+def figure_of(
+    analysis: Analysis,
+    what: str = "tokens",
+    *,
+    time: Optional[float] = None,
+    points: int = 60,
+    only: Sequence[str] = (),
+    condition: Optional[str] = None,
+) -> Any:
+    """A figure of matplotlib.
+
+    :param what: one of :data:`PLOTS`.
+    :param time: end of the time axis (s); None: the time until the net has settled.
+    :param points: number of points in time.
+    :param only: the places or transitions to plot; none: all.
+    :param condition: of ``passage``: the condition to reach.
+    :raises UsageError: a name in ``only`` is not there.
+    :raises GspnError: see :class:`~gspn_framework_package.analysis.analyse.Analysis`.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8, 5), constrained_layout=True)
     axes = figure.add_subplot()
     axes.set_title(analysis.plan.name if analysis.plan else analysis.net.name)
-    if args.what == "distribution":
-        _distribution(axes, analysis, args)
+    if what == "distribution":
+        _distribution(axes, analysis, only)
         return figure
-    end = args.time if args.time is not None else 1.2 * analysis.time_to_steady_state() or 1.0
-    times = np.linspace(0.0, end, args.points)
+    end = time if time is not None else 1.2 * analysis.time_to_steady_state() or 1.0
+    times = np.linspace(0.0, end, points)
     axes.set_xlabel("time [s]")
     axes.set_xlim(0, end)
-    if args.what == "passage":
-        axes.plot(times, analysis.first_passage(args.condition, times.tolist()).within)
-        axes.set_ylabel("probability of %s until then" % args.condition)
+    if what == "passage":
+        assert condition is not None
+        axes.plot(times, analysis.first_passage(condition, times.tolist()).within)
+        axes.set_ylabel("probability of %s until then" % condition)
         axes.set_ylim(0, 1.02)
         return figure
     found = analysis.at(times.tolist())
-    series = [m.mean_tokens if args.what == "tokens" else m.throughput for _, m in found]
-    axes.set_ylabel("mean tokens" if args.what == "tokens" else "throughput [1/s]")
+    series = [m.mean_tokens if what == "tokens" else m.throughput for _, m in found]
+    axes.set_ylabel("mean tokens" if what == "tokens" else "throughput [1/s]")
     curves = {
         name: np.array([values[name] for values in series])
-        for name in _chosen(list(series[0]), args.only)
+        for name in _chosen(list(series[0]), only)
     }
     groups = alike(curves)
     for number, names in enumerate(groups):
@@ -253,9 +279,9 @@ def _rows(groups: Sequence[Sequence[str]]) -> int:
     return sum(_title(names).count("\n") + 1 for names in groups[:_ROWS])
 
 
-def _distribution(axes: Any, analysis: Analysis, args: argparse.Namespace) -> None:
+def _distribution(axes: Any, analysis: Analysis, only: Sequence[str]) -> None:
     found = analysis.measures.token_distribution
-    names = _chosen(list(found), args.only)
+    names = _chosen(list(found), only)
     most = max((n for name in names for n in found[name]), default=0)
     left = np.zeros(len(names))
     for count in range(most + 1):
@@ -268,7 +294,7 @@ def _distribution(axes: Any, analysis: Analysis, args: argparse.Namespace) -> No
     axes.legend(title="tokens", fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
-def _chosen(names: List[str], only: List[str]) -> List[str]:
+def _chosen(names: List[str], only: Sequence[str]) -> Sequence[str]:
     for name in only:
         if name not in names:
             raise UsageError(

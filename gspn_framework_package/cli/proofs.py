@@ -6,7 +6,7 @@ import argparse
 import contextlib
 import json
 import os
-from typing import Any, Dict, Iterator, List, Tuple, Union
+from typing import Any, Dict, Iterable, Iterator, List, Tuple, Union
 
 from gspn_framework_package.analysis.proofs import questions
 from gspn_framework_package.analysis.proofs.checker import ProofError, check_certificate
@@ -21,17 +21,42 @@ FORMAT = "gspn_proofs"
 
 
 def asked(args: argparse.Namespace, subject: Union[Net, Plan]) -> List[MarkingQuestion]:
-    """The questions in the arguments.
+    """The questions in the arguments. :raises GspnError: see :func:`questions_about`."""
+    return questions_about(
+        subject,
+        never=args.never,
+        always=args.always,
+        apart=args.apart,
+        never_fires=args.never_fires,
+        general=bool(args.certificate),
+    )
 
+
+def questions_about(
+    subject: Union[Net, Plan],
+    *,
+    never: Iterable[str] = (),
+    always: Iterable[str] = (),
+    apart: Iterable[str] = (),
+    never_fires: Iterable[str] = (),
+    general: bool = False,
+) -> List[MarkingQuestion]:
+    """Questions about all markings of a net or plan.
+
+    :param never: conditions that are never to hold.
+    :param always: conditions that are always to hold.
+    :param apart: patterns of the names of places that are never to hold two tokens.
+    :param never_fires: transitions that are never to fire.
+    :param general: also ask for dead markings and, of a plan, for markings without a policy row.
     :raises GspnError: one names what does not exist, or cannot be read.
     """
     kinds = [questions.DEAD, questions.NO_ROW] if isinstance(subject, Plan) else [questions.DEAD]
     found = [
-        *([MarkingQuestion(kind) for kind in kinds] if args.certificate else []),
-        *(MarkingQuestion(questions.NEVER, text) for text in args.never),
-        *(MarkingQuestion(questions.ALWAYS, text) for text in args.always),
-        *(MarkingQuestion(questions.APART, pattern) for pattern in args.apart),
-        *(MarkingQuestion(questions.FIRES, name) for name in args.never_fires),
+        *([MarkingQuestion(kind) for kind in kinds] if general else []),
+        *(MarkingQuestion(questions.NEVER, text) for text in never),
+        *(MarkingQuestion(questions.ALWAYS, text) for text in always),
+        *(MarkingQuestion(questions.APART, pattern) for pattern in apart),
+        *(MarkingQuestion(questions.FIRES, name) for name in never_fires),
     ]
     for question in found:
         if question.about:

@@ -60,7 +60,7 @@ EPILOG = (
 def run(args: argparse.Namespace) -> int:
     """Check the plan, execute it, and report how it ended."""
     plan = _plan(args)
-    event_log = _event_log(args.log, plan)
+    event_log = open_event_log(args.log, plan)
     printer = _Printer(plan, args.json, args.quiet)
     executor = StandaloneExecutor(
         plan,
@@ -161,7 +161,8 @@ def _plan(args: argparse.Namespace) -> Plan:
     return plan
 
 
-def _event_log(path: Optional[str], plan: Plan) -> Optional[EventLogWriter]:
+def open_event_log(path: Optional[str], plan: Plan) -> Optional[EventLogWriter]:
+    """The log of a run with agents; None without a path. :raises UsageError: the file exists."""
     if path is None:
         return None
     if os.path.exists(path):

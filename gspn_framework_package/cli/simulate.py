@@ -78,7 +78,7 @@ def _print(result: Simulation, notes: List[str], args: argparse.Namespace) -> in
             with Path(args.csv).open("w", newline="", encoding="utf-8") as file:
                 writer = csv.writer(file)
                 writer.writerow(("measure", "name", "mean", "half_width"))
-                writer.writerows(_rows(result))
+                writer.writerows(simulated_rows(result))
     finally:  # the result is printed, even if it cannot be written
         if args.json:
             data = {**result.to_json(), "notes": [*notes, *result.notes]}
@@ -90,7 +90,8 @@ def _print(result: Simulation, notes: List[str], args: argparse.Namespace) -> in
     return 0
 
 
-def _rows(result: Simulation) -> Iterator[Tuple[str, str, float, float]]:
+def simulated_rows(result: Simulation) -> Iterator[Tuple[str, str, float, float]]:
+    """Yield the estimates as rows: measure, name, mean, half width of the interval."""
     means = {"mean_tokens": result.mean_tokens, "throughput": result.throughput, **result.subnets}
     for measure, values in means.items():
         for name, value in values.items():
