@@ -7,6 +7,8 @@ import xml.etree.ElementTree as ElementTree
 from setuptools import find_packages, setup
 
 PACKAGE = "gspn_framework_package"
+INTERFACE = "gspn"
+"""The package for those who use it from Python."""
 
 LIBRARIES = {
     "python3-cryptography": "cryptography>=2.8",
@@ -100,9 +102,9 @@ def packages(by_catkin):
     """Return what is installed. pip also installs the definitions of the messages and the example
     plans, which catkin installs as ROS does."""
     found = {
-        "packages": find_packages(include=[PACKAGE, PACKAGE + ".*"]),
+        "packages": find_packages(include=[INTERFACE, PACKAGE, PACKAGE + ".*"]),
         "package_dir": {"": "."},
-        "package_data": {PACKAGE: files_below(PACKAGE, (".py", ".pyc"))},
+        "package_data": {name: files_below(name, (".py", ".pyc")) for name in (INTERFACE, PACKAGE)},
     }
     if not by_catkin:
         for name, folder in (("msg_files", "msg"), ("plans", "plans")):

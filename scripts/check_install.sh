@@ -37,7 +37,9 @@ rm -rf "$INSTALLED"
 log=$WORKSPACE/install.log
 make -C "$CATKIN_WS/build" --no-print-directory install >"$log" 2>&1 || { tail -n 20 "$log"; die "installation failed"; }
 
-same_files "$PACKAGE" "$ROOT/$PACKAGE" "$SITE/$PACKAGE"
+for package in $PACKAGE gspn; do
+    same_files "$package" "$ROOT/$package" "$SITE/$package"
+done
 for folder in launch plans; do
     same_files "$folder" "$ROOT/$folder" "$SHARE/$folder"
 done
@@ -51,6 +53,8 @@ installed "
     '$VENV/bin/python' -c '
 import $PACKAGE.cli.main as main, $PACKAGE.msg, $PACKAGE.srv
 assert main.__file__.startswith(\"$SITE\"), main.__file__
+import gspn
+assert gspn.example(\"patrol\").check().accepted
 '" || die "the install space does not run"
 
 count=0
@@ -70,7 +74,9 @@ if . /etc/os-release && [ "${VERSION_CODENAME:-}" = bookworm ]; then
     rm -rf "$ASIDE/deb"
     deb=$("$ROOT/scripts/make_deb" "$ASIDE/deb") || die "scripts/make_deb fails"
     dpkg-deb -x "$deb" "$ASIDE/deb/root"
-    same_files "deb: $PACKAGE" "$ROOT/$PACKAGE" "$ASIDE/deb/root/usr/lib/python3/dist-packages/$PACKAGE"
+    for package in $PACKAGE gspn; do
+        same_files "deb: $package" "$ROOT/$package" "$ASIDE/deb/root/usr/lib/python3/dist-packages/$package"
+    done
     for folder in launch plans; do
         same_files "deb: $folder" "$ROOT/$folder" "$ASIDE/deb/root/usr/share/$PACKAGE/$folder"
     done
@@ -88,7 +94,7 @@ installed "ROS_HOSTNAME=localhost rostest '$ROOT/test/rostest/world/world.test'"
 CHECKOUT=$ASIDE/pip_checkout EMPTY=$ASIDE/pip_venv BEGINNER=$ASIDE/beginner
 rm -rf "$CHECKOUT" "$EMPTY" "$BEGINNER"
 mkdir -p "$CHECKOUT" "$BEGINNER"
-cp -r "$ROOT/$PACKAGE" "$ROOT"/{msg,plans,setup.py,package.xml,pyproject.toml,LICENSE,README.md} "$CHECKOUT"
+cp -r "$ROOT/$PACKAGE" "$ROOT"/{gspn,msg,plans,setup.py,package.xml,pyproject.toml,LICENSE,README.md} "$CHECKOUT"
 log=$WORKSPACE/pip_install.log
 pip=("-m" pip --disable-pip-version-check)
 { /usr/bin/python3 -m venv "$EMPTY" && "$EMPTY/bin/python" "${pip[@]}" install -q "pip>=21.3" \
@@ -96,9 +102,11 @@ pip=("-m" pip --disable-pip-version-check)
     && "$EMPTY/bin/python" "${pip[@]}" install -q --prefer-binary "$CHECKOUT"/dist/*.whl; } \
     >"$log" 2>&1 || { tail -n 20 "$log"; die "pip does not install the package"; }
 only_product "the wheel" < <("$EMPTY/bin/python" -m zipfile -l "$CHECKOUT"/dist/*.whl | awk '{ print $1 }')
-SITE=$(echo "$EMPTY"/lib/python3*/site-packages)/$PACKAGE
-same_files "$PACKAGE, by pip" "$ROOT/$PACKAGE" "$SITE"
-same_files "plans, by pip" "$ROOT/plans" "$SITE/plans" -not -path './runs/*'
+SITE=$(echo "$EMPTY"/lib/python3*/site-packages)
+for package in $PACKAGE gspn; do
+    same_files "$package, by pip" "$ROOT/$package" "$SITE/$package"
+done
+same_files "plans, by pip" "$ROOT/plans" "$SITE/$PACKAGE/plans" -not -path './runs/*'
 for page in README.md docs/{five_minutes,first_plan,migration}.md; do
     folder=$BEGINNER/$(basename "$page" .md)
     mkdir -p "$folder"
@@ -114,4 +122,6 @@ done
 (cd / && env -i PATH=/usr/bin:/bin LC_ALL=C.UTF-8 bash -ec "
     [ \"\$('$EMPTY/bin/gspn' --version)\" = 'gspn $(PYTHONPATH=$ROOT python3 -c "import $PACKAGE as p; print(p.__version__)")' ]
     '$EMPTY/bin/python' -c 'import $PACKAGE.visualizer.serving'
+    '$EMPTY/bin/python' -c 'import gspn; assert gspn.example(\"patrol\").check().accepted'
+    '$EMPTY/bin/python' -m gspn.examples
 ") || die "the package that pip has installed does not run"

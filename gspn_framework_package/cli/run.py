@@ -200,7 +200,9 @@ class _Printer(Listener):
                     marking=self._plan.net.named(firing.marking, zeros=False),
                 )
             elif not self._quiet:
-                print("%6d  %s  %s" % (self._count, firing.transition, _moves(firing)), flush=True)
+                print(
+                    "%6d  %s  %s" % (self._count, firing.transition, moves_text(firing)), flush=True
+                )
 
     def on_plan(self, plan: Plan) -> None:
         self._plan = plan
@@ -239,7 +241,8 @@ class _Printer(Listener):
         print(json.dumps({"event": event, **data}), file=self._out, flush=True)
 
 
-def _moves(firing: Firing) -> str:
+def moves_text(firing: Firing) -> str:
+    """The moves of the robots at a firing, in words."""
     parts: List[str] = []
     for move in firing.moves:
         if move.source is None:

@@ -31,11 +31,26 @@ def plans_folder() -> str:
 
 
 def example_names() -> List[str]:
-    """Return the names of the example plans. :raises UsageError: see :func:`plans_folder`."""
+    """Return the names of the example plans. :raises UsageError: see :func:`plans_folder`.
+
+    >>> "patrol" in example_names()
+    True
+    """
     folder = plans_folder()
     return sorted(
         name for name in os.listdir(folder) if os.path.isfile(os.path.join(folder, name, PLAN_FILE))
     )
+
+
+def example_folder(name: str) -> str:
+    """Return the folder of an example plan. :raises UsageError: there is no such example."""
+    if name not in example_names():
+        raise _no_example(name, example_names())
+    return os.path.join(plans_folder(), name)
+
+
+def _no_example(name: str, known: List[str]) -> UsageError:
+    return UsageError("there is no example '%s'" % name, hint="there are: %s" % ", ".join(known))
 
 
 def copy_example(name: str, folder: str) -> List[str]:
@@ -50,10 +65,7 @@ def copy_example(name: str, folder: str) -> List[str]:
     """
     names = example_names()
     if name not in (*names, ALL_EXAMPLES):
-        raise UsageError(
-            "there is no example '%s'" % name,
-            hint="there are: %s" % ", ".join([*names, ALL_EXAMPLES]),
-        )
+        raise _no_example(name, [*names, ALL_EXAMPLES])
     if os.path.lexists(folder):
         raise UsageError("the folder exists already", file=folder, hint="choose another folder")
     ignored = shutil.ignore_patterns("__pycache__")

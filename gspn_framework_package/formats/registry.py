@@ -128,7 +128,16 @@ def read_net_with_notes(
         raise UsageError(
             "%s is written, not read" % format_named(options.format).title, hint=_formats_read()
         )
-    file = NetFile(read_bytes(str(path)), str(path), _formats_read())
+    return net_from_bytes(read_bytes(str(path)), str(path), options)
+
+
+def net_from_bytes(data: bytes, name: str, options: ReadOptions = AS_THE_FILE_SAYS) -> NetAndNotes:
+    """Read the net in the content of a file, and notes on what was assumed or left out.
+
+    :param name: the name of the file, for errors.
+    :raises InputError: it is not a net.
+    """
+    file = NetFile(data, name, _formats_read())
     try:
         _check_constants(file.data, options.constants)
         return _read_sample(file, options) or _read(file, options)

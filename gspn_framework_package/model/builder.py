@@ -30,6 +30,15 @@ class NetBuilder:
         self._transitions: List[Transition] = []
         self._arcs: List[Arc] = []
 
+    @classmethod
+    def of(cls, net: Net) -> NetBuilder:
+        """Return a builder that continues with what ``net`` has."""
+        builder = cls(net.name)
+        builder._places += net.places
+        builder._transitions += net.transitions
+        builder._arcs += net.arcs
+        return builder
+
     def place(
         self,
         name: str,

@@ -188,6 +188,7 @@ def test_neither_experiments_nor_tests_are_installed(monkeypatch, name):
     files = [file for names in given["package_data"].values() for file in names]
     files += [path.name for folder in folders for path in (ROOT / folder).glob("*.py")]
     assert {folder.split("/")[0] for folder in folders} <= {
+        "gspn",
         "gspn_framework_package",
         "msg",
         "plans",
