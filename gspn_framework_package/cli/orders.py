@@ -12,7 +12,7 @@ from gspn_framework_package.cli.options import add_options
 from gspn_framework_package.model.errors import DataError, InputError, UsageError
 from gspn_framework_package.team.orders import ORDERS, SUBMITTED, FieldKind, OrderField, OrderKind
 
-OWN_MODULES = ("status", "breakpoints", "trust")
+OWN_MODULES = ("status", "tasks", "breakpoints", "trust")
 """The orders whose verb shows or asks more, in the module of that name."""
 
 
@@ -96,6 +96,8 @@ def order_verbs() -> Dict[str, OrderVerb]:
 
 def _given(field: OrderField, args: argparse.Namespace) -> Any:
     text = getattr(args, field.name)
+    if field.kind is FieldKind.NUMBER:
+        return field.read(text)
     return read_data(text) if field.kind is FieldKind.OBJECT else text
 
 

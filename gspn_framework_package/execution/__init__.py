@@ -7,6 +7,6 @@ Modules: ``actions``, ``agreement``, ``attempts``, ``breakpoints``, ``chance``, 
 ``log_damage``, ``log_entries``, ``log_writer``, ``logged_attempts``, ``net_difference``,
 ``observation``, ``parent_death``, ``phase``, ``plan_change``, ``plan_modules``,
 ``replayer``, ``rules``, ``seen_firings``, ``simulator``, ``standalone``,
-``stored_policy``, ``team_messages``, ``team_state``, ``token_game``, ``turn``, ``verifier``,
-``virtual_time``, ``worker_pool``.
+``stored_policy``, ``task_turn``, ``team_messages``, ``team_state``, ``team_tasks``,
+``token_game``, ``turn``, ``verifier``, ``virtual_time``, ``worker_pool``.
 """

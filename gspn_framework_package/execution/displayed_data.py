@@ -8,7 +8,9 @@ import json
 from typing import Any, Dict, List, Mapping, Sequence
 
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.team_state import RobotState, Task, TeamState
+from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.team_state import RobotState, TeamState
+from gspn_framework_package.execution.team_tasks import Task
 from gspn_framework_package.model.net import Net
 
 SHOWN_LENGTH = 200
@@ -86,6 +88,48 @@ def displayed_queue(tasks: Sequence[Task], brief: bool = False) -> List[List[Any
     if not brief:
         return [task.to_json() for task in tasks]
     return [[task.id, shown_values(task.data)] for task in tasks[:SHOWN_TASKS]]
+
+
+def displayed_tasks(state: TeamState, net: Net) -> Dict[str, Any]:
+    """The tasks of a team that are not done, and the last ones that ended.
+
+    :returns: ``tasks``: for each its ``id``, ``where`` it is (in words), the ``transition``,
+        ``place`` or ``robot`` there (the others are ""), ``trouble`` ("" if somebody works on it or
+        will), ``priority``, ``attempts`` (how often a robot took it) and ``since`` (seconds since
+        1970; None if not known). ``ended``: for each its ``id``, ``outcome`` and ``why``, the last
+        one last.
+    """
+    tasks = []
+    for found in state.tasks():
+        task = found.task
+        robot = state.robots.get(found.robot)
+        place = found.place if robot is None else robot.place
+        tasks.append(
+            {
+                "id": task.id,
+                "where": found.where(net),
+                "transition": "" if found.before is None else net.transitions[found.before].name,
+                "place": "" if place is None else net.places[place].name,
+                "robot": found.robot,
+                "trouble": _trouble(robot) if robot is not None else "",
+                "priority": task.priority,
+                "attempts": task.attempts,
+                "since": task.since or None,
+            }
+        )
+    return {"tasks": tasks, "ended": [ended._asdict() for ended in state.ended_tasks]}
+
+
+def _trouble(robot: RobotState) -> str:
+    """Why a robot does not go on with its task; "" if it does."""
+    if robot.phase.gone:
+        return "%s is %s: submit the task again, or cancel it" % (
+            robot.name,
+            "lost" if robot.phase is Phase.LOST else "not in the team any more",
+        )
+    if robot.phase is Phase.FAILED:
+        return "its action failed (%s)" % robot.why
+    return ""
 
 
 def displayed_robot(robot: RobotState, net: Net, brief: bool = False) -> Dict[str, Any]:

@@ -25,6 +25,9 @@ NOTHING: Mapping[str, Any] = MappingProxyType({})
 ID_LIMIT = 200
 """Maximum length of the id of a task, in characters."""
 
+PRIORITY_LIMIT = 1_000_000
+"""Largest priority of a task; the least is its negative."""
+
 WHY_LIMIT = 2_000
 """Maximum length of the reason why a robot cannot follow a plan, in characters."""
 
@@ -111,13 +114,36 @@ class Interrupt(NamedTuple):
 class Submit(NamedTuple):
     """A task arrives through a transition of the environment. Of several entries with the same
     transition and ``id``, only the first counts, except for an entry marked ``again``, whose robot
-    is gone. If the transition is not enabled, the task waits until it is."""
+    is gone. If the transition is not enabled, the task waits until it is.
+
+    Tasks of a higher ``priority`` come before others where they wait. ``since``: when it was
+    submitted (whole seconds since 1970; 0: unknown).
+    """
 
     transition: str
     id: str
     data: Mapping[str, Any] = NOTHING
     by: Giver = NOBODY
     again: bool = False
+    priority: int = 0
+    since: int = 0
+
+
+class CancelTask(NamedTuple):
+    """The task with this ``id`` is not to be done. If it waits, it is taken out; if a robot carries
+    it, its action is cancelled, and the plan says where the robot goes
+    (:attr:`~gspn_framework_package.model.event.Tasks.on_cancel`)."""
+
+    id: str
+    by: Giver = NOBODY
+
+
+class PrioritiseTask(NamedTuple):
+    """The task with this ``id`` gets another priority, and its place among those that wait."""
+
+    id: str
+    priority: int = 0
+    by: Giver = NOBODY
 
 
 class Join(NamedTuple):
@@ -227,8 +253,23 @@ class Unstage(NamedTuple):
     by: Giver = NOBODY
 
 
+TaskOrder = Union[CancelTask, PrioritiseTask]
+"""The orders about a task that the team has."""
+
 Ordered = Union[
-    Retry, Fire, Submit, Leave, Evict, SetPlace, Pause, Resume, Stop, StagePlan, Adopt, Unstage
+    Retry,
+    Fire,
+    Submit,
+    TaskOrder,
+    Leave,
+    Evict,
+    SetPlace,
+    Pause,
+    Resume,
+    Stop,
+    StagePlan,
+    Adopt,
+    Unstage,
 ]
 """The entries that an operator can order."""
 
@@ -250,6 +291,8 @@ _KINDS: Dict[str, Type[Entry]] = {
     "fire": Fire,
     "interrupt": Interrupt,
     "submit": Submit,
+    "cancel": CancelTask,
+    "prioritise": PrioritiseTask,
     "join": Join,
     "leave": Leave,
     "evict": Evict,
@@ -267,11 +310,11 @@ _NAMES = {kind: name for name, kind in _KINDS.items()}
 _OPEN = ("data", "cause", "plan", "mapping")
 """Fields that hold JSON objects of any content."""
 
-_BOUNDED = frozenset((*_OPEN, "digest", "why", "id", "by"))
+_BOUNDED = frozenset((*_OPEN, "digest", "why", "id", "by", "priority"))
 """Fields that are checked for more than their type."""
 
 
-_LATER = ("again", "returns", "draws_ties")
+_LATER = ("again", "returns", "draws_ties", "priority", "since")
 """Fields that entries of earlier versions lack."""
 
 
@@ -307,7 +350,8 @@ _FORMS = {kind: _form(kind) for kind in _KINDS.values()}
 
 def to_json(entry: Entry) -> Dict[str, Any]:
     """The entry as a JSON object: its kind under ``entry``, and its fields; ``data``, ``cause``,
-    ``mapping`` and ``by`` only if they are not empty, those in :data:`_LATER` if they are true."""
+    ``mapping`` and ``by`` only if they are not empty, those in :data:`_LATER` if they are true, or
+    are not 0."""
     kind = type(entry)
     form = _FORMS[kind]
     fields: Dict[str, Any] = dict(zip(form.keys, (_NAMES[kind], *entry)))
@@ -324,7 +368,7 @@ def to_json(entry: Entry) -> Dict[str, Any]:
         else:
             del fields["by"]
     for key in _LATER:
-        if fields.get(key) is False:
+        if not fields.get(key, True):
             del fields[key]
     return fields
 
@@ -367,25 +411,46 @@ def new_task_id(source: str) -> str:
     return "%s-%s" % (source, uuid.uuid4().hex[:12])
 
 
-def make_submit(transition: str, task: Any, data: Mapping[str, Any]) -> Submit:
-    """Make the entry for a task from outside.
-
-    :param task: the id of the task, text or a whole number; "" if it has none yet.
-    :param data: name -> JSON value, without scopes: the names belong to the task.
-    :raises DataError: the id or the data cannot be stored.
-    """
+def task_id(task: Any) -> str:
+    """The id of a task, given as text or a whole number. :raises DataError: it is no id."""
     if isinstance(task, bool) or not isinstance(task, (str, int)):
         raise DataError("the id of a task is text or a whole number, not %.100r" % (task,))
     if len(str(task)) > ID_LIMIT:
         raise DataError("the id of a task is longer than %d characters" % ID_LIMIT)
-    for name in check_values(data):
-        if "." in name or name == "id":
+    return str(task)
+
+
+def make_prioritise(task: Any, priority: int) -> PrioritiseTask:
+    """Make the entry that gives a task another priority. :raises DataError: it cannot be one."""
+    _check_priority(priority)
+    return PrioritiseTask(task_id(task), priority)
+
+
+def _check_priority(priority: int) -> None:
+    if abs(priority) > PRIORITY_LIMIT:
+        raise DataError(
+            "the priority of a task is between %d and %d" % (-PRIORITY_LIMIT, PRIORITY_LIMIT)
+        )
+
+
+def make_submit(transition: str, task: Any, data: Mapping[str, Any], priority: int = 0) -> Submit:
+    """Make the entry for a task from outside.
+
+    :param task: the id of the task, text or a whole number; "" if it has none yet.
+    :param data: name -> JSON value, without scopes: the names belong to the task.
+    :param priority: tasks with a higher one come before others where they wait.
+    :raises DataError: the id, the data or the priority cannot be stored.
+    """
+    name = task_id(task)
+    _check_priority(priority)
+    for key in check_values(data):
+        if "." in key or key == "id":
             raise DataError(
-                "'%.100s' is not a valid name for a task's data" % name,
+                "'%.100s' is not a valid name for a task's data" % key,
                 hint="write the name without a scope: 'pose' is read as task.pose, and task.id is "
                 "the id",
             )
-    return Submit(transition, str(task), dict(data))
+    return Submit(transition, name, dict(data), priority=priority)
 
 
 def _check_bounds(fields: Dict[str, Any]) -> None:
@@ -414,3 +479,5 @@ def _check_bounds(fields: Dict[str, Any]) -> None:
         raise ValueError("its reason is longer than %d characters" % WHY_LIMIT)
     if len(fields.get("id", "")) > ID_LIMIT:
         raise ValueError("its id is longer than %d characters" % ID_LIMIT)
+    if "priority" in fields:
+        _check_priority(fields["priority"])

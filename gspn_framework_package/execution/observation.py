@@ -219,4 +219,5 @@ _UNFORESEEN = {
     log_entries.SetPlace: "was moved to another place",
     log_entries.Pause: "was paused",
     log_entries.Retry: "was ordered to try again",
+    log_entries.CancelTask: "was told to cancel a task",
 }

@@ -45,6 +45,10 @@ class Rules:
         self.immediate = net.immediate_from
         self.queues = frozenset(net.place_number(p) for p in plan.tasks.queues)
         self.task_done = frozenset(net.transition_number(t) for t in plan.tasks.done)
+        self.on_cancel = {
+            net.place_number(p): None if t is None else net.transition_number(t)
+            for p, t in plan.tasks.on_cancel.items()
+        }
         self.interrupts = {net.transition_number(t): event for t, event in plan.events.items()}
         self.of_action = [plan.of_action(p) for p in range(len(net.places))]
         """For each place, the output transitions that are not fired by an event."""

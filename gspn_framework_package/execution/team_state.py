@@ -8,10 +8,21 @@ Only the token game changes a :class:`TeamState`. It can be written as JSON and 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import AbstractSet, Any, Dict, List, Mapping, NamedTuple, Optional, Tuple
+from typing import (
+    AbstractSet,
+    Any,
+    Dict,
+    Iterator,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Tuple,
+)
 
-from gspn_framework_package.execution.log_entries import NOTHING, Submit
+from gspn_framework_package.execution.log_entries import Submit
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.team_tasks import ENDED_TASKS, EndedTask, FoundTask, Task
 from gspn_framework_package.model.data import check_values
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.net import Net
@@ -30,25 +41,6 @@ class Draw(NamedTuple):
     transition: int
     slot: int
     index: int  # type: ignore[assignment]  # hides tuple.index, unused
-
-
-class Task(NamedTuple):
-    """A task with its data (name -> JSON value); ``id`` is "" for a token without a task."""
-
-    id: str = ""
-    data: Mapping[str, Any] = NOTHING
-
-    def to_json(self) -> List[Any]:
-        """The task as a JSON value."""
-        return [self.id, dict(self.data)]
-
-    @classmethod
-    def from_json(cls, data: Any) -> Task:
-        """Parse a task. :raises ValueError, DataError: the JSON value is not a task."""
-        name, values = data
-        if not isinstance(name, str):
-            raise ValueError("the id of a task is not a string")
-        return cls(name, check_values(values, None))
 
 
 @dataclass
@@ -143,7 +135,8 @@ class TeamState:
 
     ``data`` belongs to the team. ``queues`` holds the tasks of each queue (place), the next one
     first; ``submitted`` holds tasks whose transition was not enabled yet; ``known`` holds the
-    newest ids of tasks that arrived through each transition.
+    newest ids of tasks that arrived through each transition; ``ended_tasks`` holds the last tasks
+    that ended.
     """
 
     marking: Tuple[int, ...]
@@ -168,6 +161,7 @@ class TeamState:
     queues: Dict[int, List[Task]] = field(default_factory=dict)
     submitted: List[Tuple[int, Task]] = field(default_factory=list)
     known: Dict[int, Dict[str, None]] = field(default_factory=dict)
+    ended_tasks: List[EndedTask] = field(default_factory=list)
     stages: int = 0
     """Number of plans staged so far."""
     staged: Optional[StagedPlan] = None
@@ -244,12 +238,54 @@ class TeamState:
         gone = t is not None and self.gone_with(t, task.id) is not None
         return task._replace(again=gone)
 
+    def tasks(self) -> Iterator[FoundTask]:
+        """The tasks that are not done: those that robots carry, in queues, and outside."""
+        for robot in self.robots.values():
+            if robot.task is not None and robot.task.id:
+                yield FoundTask(robot.task, robot=robot.name)
+        for p, queue in self.queues.items():
+            yield from (FoundTask(task, place=p) for task in queue if task.id)
+        yield from (FoundTask(task, before=t) for t, task in self.submitted if task.id)
+
     def tasks_left(self, net: Net) -> List[str]:
         """The tasks that are not done, each with its location."""
-        carried = [(r.task, "with " + r.name) for r in self.robots.values() if r.task is not None]
-        queued = [(t, "in " + net.places[p].name) for p, q in self.queues.items() for t in q]
-        outside = [(task, "before " + net.transitions[t].name) for t, task in self.submitted]
-        return ["%s %s" % (t.id, where) for t, where in carried + queued + outside if t.id]
+        return ["%s %s" % (found.task.id, found.where(net)) for found in self.tasks()]
+
+    def tasks_with(self, task_id: str) -> List[FoundTask]:
+        """The tasks with an id that are not done; several if they arrived through several
+        transitions."""
+        return [found for found in self.tasks() if found.task.id == task_id]
+
+    def whereabouts(self, task_id: str, net: Net) -> str:
+        """Where the task with an id is, or how it ended, in words."""
+        there, ended = self.tasks_with(task_id), self.end_of(task_id)
+        if there:
+            return "it is " + there[0].where(net)
+        return ended.text if ended is not None else "the team no longer has it"
+
+    def end_of(self, task_id: str) -> Optional[EndedTask]:
+        """How the last task with an id ended; None if it did not, or long ago."""
+        return next((e for e in reversed(self.ended_tasks) if e.id == task_id), None)
+
+    def why_not_one_task(self, task_id: str) -> str:
+        """Why no order about the task with an id is possible; "" if it is."""
+        there = self.tasks_with(task_id)
+        if len(there) > 1:
+            return "%d tasks have the id '%s'" % (len(there), task_id)
+        ended = self.end_of(task_id)
+        if there:
+            return ""
+        if ended is not None:
+            return "the team has task '%s' no more: %s" % (task_id, ended.text)
+        return "the team has no task '%s'" % task_id
+
+    def end_task(self, task: Task, outcome: str, why: str) -> None:
+        """Remember that a task ended; a token without a task is none."""
+        if task.id:
+            self.ended_tasks = [
+                *self.ended_tasks[1 - ENDED_TASKS :],
+                EndedTask(task.id, outcome, why),
+            ]
 
     def gone_with(self, t: int, task: str) -> Optional[RobotState]:
         """The lost or departed robot that carries the task with this id of transition ``t``; None
@@ -316,6 +352,7 @@ class TeamState:
             "queues": {place[p].name: [t.to_json() for t in q] for p, q in self.queues.items()},
             "submitted": [[transition[t].name, task.to_json()] for t, task in self.submitted],
             "known": {transition[t].name: list(ids) for t, ids in self.known.items()},
+            "ended_tasks": [list(ended) for ended in self.ended_tasks],
         }
         return {key: value for key, value in found.items() if value}
 
@@ -333,6 +370,7 @@ class TeamState:
             net.transition_number(t): dict.fromkeys(map(str, ids))
             for t, ids in data.get("known", {}).items()
         }
+        self.ended_tasks = [EndedTask(*map(str, ended)) for ended in data.get("ended_tasks", ())]
         if not self.queues.keys() <= queues:
             raise ValueError("a place that is not a queue has tasks")
         for p in queues:

@@ -14,21 +14,13 @@ from gspn_framework_package.execution import log_entries, plan_change
 from gspn_framework_package.execution.firing import Firing, GameCommand
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.rules import Rules
-from gspn_framework_package.execution.team_state import (
-    OUTSIDE_LIMIT,
-    RobotState,
-    StagedPlan,
-    Task,
-    TeamState,
-)
-from gspn_framework_package.execution.turn import Turn
+from gspn_framework_package.execution.task_turn import TaskTurn
+from gspn_framework_package.execution.team_state import RobotState, StagedPlan, TeamState
+from gspn_framework_package.execution.team_tasks import Task
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.kept import Kept
 from gspn_framework_package.model.plan import LostKind
 from gspn_framework_package.model.plan_timing import POLICY
-
-KNOWN_TASKS = 10_000
-"""Number of task ids remembered for each transition; older ids count as new."""
 
 INTERRUPTIBLE = (Phase.DOING, Phase.DONE, Phase.FAILED)
 """The phases in which an event can interrupt a robot."""
@@ -137,7 +129,7 @@ class TokenGame(Rules):
         return Step(turn.firings, turn.commands, tuple(turn.adopted))
 
 
-class _Reducer(Turn):
+class _Reducer(TaskTurn):
     """Applies log entries to the state."""
 
     def __init__(self, game: TokenGame, state: TeamState, slot: int) -> None:
@@ -163,6 +155,8 @@ class _Reducer(Turn):
             self._event(entry._replace(transition=self.state.present_name(entry.transition)))
         elif isinstance(entry, log_entries.Submit):
             self._submit(entry._replace(transition=self.state.present_name(entry.transition)))
+        elif isinstance(entry, (log_entries.CancelTask, log_entries.PrioritiseTask)):
+            self._about_task(entry)
         elif isinstance(entry, log_entries.Join):
             self._join(entry._replace(place=self.state.present_name(entry.place)))
         elif isinstance(entry, (log_entries.Leave, log_entries.Evict)):
@@ -246,33 +240,6 @@ class _Reducer(Turn):
         # a pause delays an event, but does not lose it
         elif self.rules.interrupts[t].hold or self.state.paused or robot.paused:
             robot.held.setdefault(t, entry.cause)
-
-    def _submit(self, entry: log_entries.Submit) -> None:
-        t = self.net.transition_index.get(entry.transition)
-        if t not in self.rules.submissions:
-            self._fault(None, "'%s' does not take tasks" % entry.transition)
-            return
-        assert t is not None
-        carrier = self.state.gone_with(t, entry.id) if entry.again else None
-        if self.state.is_known(t, entry.id) and carrier is None:
-            return
-        if self.state.is_full(t):
-            text = "%d tasks are already waiting for '%s'; '%s' is refused"
-            self._fault(None, text % (OUTSIDE_LIMIT, entry.transition, entry.id))
-            return
-        self.state.submitted.append((t, Task(entry.id, entry.data)))
-        known = self.state.known.setdefault(t, {})
-        if carrier is not None:
-            carrier.task = None
-            del known[entry.id]
-        known[entry.id] = None
-        # ids of waiting tasks are not forgotten; tasks of one transition wait in order
-        waits = next(task.id for other, task in self.state.submitted if other == t)
-        while len(known) > KNOWN_TASKS:
-            oldest = next(iter(known))
-            if oldest == waits:
-                break
-            del known[oldest]
 
     # -- plan changes ------------------------------------------------------------------------------
 
@@ -370,7 +337,8 @@ class _Reducer(Turn):
             inherited.add(target)
             tasks = state.queues.get(p) or [Task()] * state.marking[p]
             if target in game.queues and tasks:
-                queues[target] = [*queues.get(target, ()), *tasks]
+                merged = [*queues.get(target, ()), *tasks]
+                queues[target] = sorted(merged, key=lambda task: -task.priority)
         for target in game.queues:
             tokens = game.net.places[target].tokens
             if target not in inherited and tokens:
@@ -461,40 +429,6 @@ class _Reducer(Turn):
             self._fault(robot, text % (robot.task.id, self._name(robot.place)))
         if robot.phase is Phase.LOST:
             self._on_lost(robot)
-
-    def _gave_back(self, robot: RobotState) -> Mapping[str, int]:
-        """The resources that a robot returns when it departs from its place: resource place ->
-        tokens."""
-        return self.plan.on_evict.get(self._name(robot.place), {})
-
-    def _holds_task(self, place: str) -> bool:
-        """Whether a robot that departs from a place returns a task."""
-        names = (self.net.places[q].name for q in self.rules.queues)
-        return not self.plan.on_evict.get(place, {}).keys().isdisjoint(names)
-
-    def _put_down(self, robot: RobotState, place: str, marking: List[int]) -> None:
-        """Return the task of a robot that is moved to a place where robots carry none."""
-        if robot.task is None or self._holds_task(place):
-            return
-        if self._holds_task(self._name(robot.place)):
-            self._give_back(robot, marking, only_tasks=True)
-        elif robot.task.id:
-            text = "keeps task %s in %s, because %s returns it to no queue (on_evict)"
-            self._fault(robot, text % (robot.task.id, place, self._name(robot.place)))
-
-    def _give_back(self, robot: RobotState, marking: List[int], only_tasks: bool = False) -> None:
-        for resource, count in self._gave_back(robot).items():
-            p = self.net.place_number(resource)
-            if p in self.rules.queues or not only_tasks:
-                marking[p] += count
-            if p not in self.rules.queues:
-                continue
-            # its task goes first, because it arrived before those still waiting
-            back = [robot.task or Task()] + [Task()] * (count - 1)
-            self.state.queues[p] = [*back, *self.state.queues.get(p, ())]
-            if robot.task is not None and robot.task.id:
-                self._fault(robot, "returns task %s to %s" % (robot.task.id, resource))
-            robot.task = None
 
     def _on_lost(self, lost: RobotState) -> None:
         rule = self.plan.on_lost

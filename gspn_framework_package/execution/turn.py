@@ -19,7 +19,8 @@ from gspn_framework_package.execution.firing import (
 from gspn_framework_package.execution.log_entries import NOTHING
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.rules import Rules
-from gspn_framework_package.execution.team_state import Draw, RobotState, Task, TeamState
+from gspn_framework_package.execution.team_state import Draw, RobotState, TeamState
+from gspn_framework_package.execution.team_tasks import TASK_DONE, TASK_LOST, Task, by_priority
 from gspn_framework_package.model.data import NAMES_LIMIT, split
 from gspn_framework_package.model.failure import FailureEnd
 from gspn_framework_package.model.outcome import Outcome
@@ -315,11 +316,13 @@ class Turn:
         queue is done by the firing.
         """
         queues, state = self.rules.queues, self.state
+        name = self.net.transitions[t].name
         moves: List[TaskMove] = []
         if t in self.rules.task_done:
             for robot in movers:
                 if robot.task is not None:
                     moves.append(TaskMove(robot.task.id, "robot " + robot.name, "done"))
+                    state.end_task(robot.task, TASK_DONE, "%s with %s" % (name, robot.name))
                     robot.task = None
         wanted = [p for p, weight in self.net.outputs[t] if p in queues for _ in range(weight)]
         at_hand: List[Tuple[Task, str]] = []
@@ -337,7 +340,7 @@ class Turn:
             at_hand.append((incoming, ""))
         for p in wanted:
             task, source = at_hand.pop(0) if at_hand else (Task(), "")
-            state.queues[p] = [*state.queues.get(p, ()), task]
+            state.queues[p] = by_priority(state.queues.get(p, ()), task)
             moves.append(TaskMove(task.id, source, "place " + self._name(p)))
         stay = [robot for robot, target in zip(movers, targets) if target is not None]
         takers = [robot for robot in stay if robot.task is None]
@@ -349,13 +352,14 @@ class Turn:
             if not takers:
                 done = t in self.rules.task_done or not source
                 moves.append(TaskMove(task.id, source, "done" if done else "dropped"))
+                self.state.end_task(task, TASK_DONE if done else TASK_LOST, name)
                 if task.id and not done:
                     self._fault(None, "drops task %s, which was not done" % task.id)
                 continue
             robot = takers.pop(0)
             if robot.task is not None:
                 moves.append(self._drop_task(robot))
-            robot.task = task
+            robot.task = task._replace(attempts=task.attempts + (not source.startswith("robot ")))
             moves.append(TaskMove(task.id, source, "robot " + robot.name))
         return tuple(move for move in moves if move.id)
 
@@ -364,6 +368,7 @@ class Turn:
         move = TaskMove(robot.task.id, "robot " + robot.name, "dropped")
         if move.id:
             self._fault(robot, "drops task %s, which was not done" % move.id)
+        self.state.end_task(robot.task, TASK_LOST, "dropped by " + robot.name)
         robot.task = None
         return move
 

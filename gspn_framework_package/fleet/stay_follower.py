@@ -36,6 +36,8 @@ _ORDERS = {
     log_entries.SetPlace: "set-place",
     log_entries.Pause: "pause",
     log_entries.Resume: "resume",
+    log_entries.CancelTask: "cancel",
+    log_entries.PrioritiseTask: "prioritise",
     log_entries.Leave: "leave",
     log_entries.StagePlan: "deploy",
     log_entries.Unstage: "give up a deployment",
@@ -242,6 +244,8 @@ class StayFollower:
         order = _ORDERS.get(type(entry), "")
         if isinstance(entry, log_entries.SetPlace):
             order += " " + entry.place
+        elif isinstance(entry, (log_entries.CancelTask, log_entries.PrioritiseTask)):
+            order += " " + entry.id
         if order:
             self._moment(step.slot, robot, INTERVENTION, order)
         elif isinstance(entry, log_entries.Stop):

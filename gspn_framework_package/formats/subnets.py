@@ -396,6 +396,13 @@ def _with(plan: Plan, part: SubnetPart) -> Plan:
         tasks=Tasks(
             _joined(plan.tasks.queues, [names[place] for place in inner.tasks.queues]),
             _joined(plan.tasks.done, [names[t] for t in inner.tasks.done]),
+            {
+                **{
+                    names[place]: None if t is None else names[t]
+                    for place, t in inner.tasks.on_cancel.items()
+                },
+                **plan.tasks.on_cancel,
+            },
         ),
         notes=plan.notes + tuple("%s: %s" % (part.name, note) for note in inner.notes),
     )

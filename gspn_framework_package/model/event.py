@@ -127,16 +127,29 @@ class EventSource(NamedTuple):
 class Tasks(NamedTuple):
     """The tasks of a plan: ``queues`` are resource places whose tokens are tasks, taken in order of
     arrival; a robot that takes a token carries the task. The transitions ``done`` complete the task
-    of a robot."""
+    of a robot.
+
+    ``on_cancel``: action place -> the transition for which a robot there asks when its task is
+    cancelled; None: it goes on with its action, without the task. Elsewhere its action is cancelled
+    and it waits for the operator.
+    """
 
     queues: Tuple[str, ...] = ()
     done: Tuple[str, ...] = ()
+    on_cancel: Mapping[str, Optional[str]] = {}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Tasks:
         """The object of a plan file that fits the schema."""
-        return cls(tuple(data.get("queues", ())), tuple(data.get("done", ())))
+        return cls(
+            tuple(data.get("queues", ())),
+            tuple(data.get("done", ())),
+            dict(data.get("on_cancel", {})),
+        )
 
     def to_json(self) -> Dict[str, Any]:
         """The JSON object of a plan file."""
-        return {"queues": list(self.queues), "done": list(self.done)}
+        found: Dict[str, Any] = {"queues": list(self.queues), "done": list(self.done)}
+        if self.on_cancel:
+            found["on_cancel"] = dict(self.on_cancel)
+        return found

@@ -386,6 +386,8 @@ class Plan:
             found["events"] = {t: [e.hold, e.resume] for t, e in self.events.items()}
         if self.tasks != Tasks():
             found["tasks"] = [list(self.tasks.queues), list(self.tasks.done)]
+            if self.tasks.on_cancel:
+                found["tasks"].append(dict(self.tasks.on_cancel))
         return found
 
     def for_robots(self, number: int) -> Plan:
@@ -585,6 +587,29 @@ class Plan:
                 )
         for name in self.tasks.done:
             self._known_transition(name, "tasks.done")
+        for place, transition in self.tasks.on_cancel.items():
+            self._validate_on_cancel(place, transition)
+
+    def _validate_on_cancel(self, place: str, transition: Optional[str]) -> None:
+        element = "tasks.on_cancel.%s" % place
+        self._known_place(place, element)
+        if not self._holds_robots(self.net.place_number(place)):
+            raise self._error(element, "a robot carries a task, and '%s' holds no robots" % place)
+        if transition is None:
+            return
+        self._known_transition(transition, element)
+        t = self.net.transition_number(transition)
+        if t not in self.net.consumers[self.net.place_number(place)]:
+            raise self._error(element, "'%s' does not leave '%s'" % (transition, place))
+        into = [self.net.places[p].name for p, _ in self.net.outputs[t]]
+        queues = [name for name in into if name in self.tasks.queues]
+        if queues:
+            raise self._error(
+                element,
+                "'%s' puts a token into the queue '%s', but the task is cancelled"
+                % (transition, queues[0]),
+                "name a transition that leads to no queue",
+            )
 
     def moves_robots(self, t: int) -> bool:
         """Return whether transition number ``t`` takes or puts robots."""

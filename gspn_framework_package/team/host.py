@@ -167,11 +167,17 @@ class ReplicaHost:
         """The interface of this host for the sources of events."""
         return EventListener(
             self.enqueue,
-            self._step,
+            self._from_source,
             lambda transition: self._replica.watches(transition),
             self.warn,
             self._data_of,
         )
+
+    def _from_source(self, given: interface.Input) -> None:
+        """Take the report of a source of events."""
+        if isinstance(given, interface.TaskCame):
+            given = interface.TaskCame(_submitted_now(given.task))
+        self._step(given)
 
     def _data_of(self, robot: str) -> Mapping[str, Any]:
         """The data that a robot ("" for the team) may read now; called on any thread."""
@@ -549,6 +555,10 @@ class ReplicaHost:
             breakpoints=self._breakpoints.breakpoints.to_json(),
         )
 
+    def tasks(self) -> Dict[str, Any]:
+        """The tasks of the team; see :meth:`SelfReport.tasks`."""
+        return self._report.tasks()
+
     def adopted(self) -> Optional[StagedPlan]:
         """The plan that the team adopted; None if it still follows its first plan."""
         return self._replica.ledger.state.adopted
@@ -587,6 +597,8 @@ class ReplicaHost:
         """Give an operator's order to the replica; ``answer`` receives the ``OrderResult``."""
         number = "order %d" % next(self._numbers)
         self._answers[number] = answer
+        if isinstance(entry, log_entries.Submit):
+            entry = _submitted_now(entry)
         if isinstance(entry, log_entries.Evict) and entry.forced:
             self._step(interface.ForceEvict(number, entry.robot, entry.by))
         elif isinstance(entry, log_entries.Adopt):
@@ -615,3 +627,8 @@ class ReplicaHost:
                 self.enqueue(self._step, order)
 
         threading.Thread(target=look, name="check", daemon=True).start()
+
+
+def _submitted_now(task: log_entries.Submit) -> log_entries.Submit:
+    """A task with the time at which it reached this robot."""
+    return task._replace(since=int(time.time()))

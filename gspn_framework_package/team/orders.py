@@ -113,7 +113,8 @@ class OrderField(NamedTuple):
             from gspn_framework_package.execution.breakpoints import read_names
 
             return read_names(text)
-        if self.kind is FieldKind.NUMBER and text.isdecimal() and len(text) <= LONGEST_NUMBER:
+        digits = text[1:] if text.startswith("-") else text
+        if self.kind is FieldKind.NUMBER and digits.isdecimal() and len(digits) <= LONGEST_NUMBER:
             return int(text)
         return text
 
@@ -124,7 +125,7 @@ class Form(NamedTuple):
 
     :ivar where: ``header``; the card of a robot that is ``running``, ``paused`` or ``failed``, or
         ``more`` for the rarer orders there; or, of a ``transition``, ``entrance`` or ``node``, the
-        inspector.
+        inspector; or a ``task``, wherever it is shown.
     :ivar label: the text of its button, and ``about`` a description.
     :ivar says: what is ordered, for the list of orders.
     :ivar title: the title of a dialog that asks for the other fields, or whether it is meant; ""
@@ -254,6 +255,7 @@ def _adopted(worker: ReplicaHost) -> Dict[str, Any]:
 
 ROBOT_FIELD = OrderField("robot", FieldKind.ROBOT, "name of the robot")
 ROBOT_OR_TEAM = ROBOT_FIELD._replace(help="name of the robot; default: the team", required=False)
+TASK_FIELD = OrderField("id", FieldKind.ID, "id of the task", label="Id")
 STAGE_FIELD = OrderField(
     "stage", FieldKind.NUMBER, "number of the stage", required=False, default=-1
 )
@@ -375,14 +377,25 @@ ORDERS: Dict[str, OrderKind] = {
                 default={},
                 label="Data, a JSON object",
             ),
+            OrderField(
+                "priority",
+                FieldKind.NUMBER,
+                "tasks with a higher one come before others where they wait (default: 0)",
+                required=False,
+                default=0,
+                label="Priority",
+                placeholder="0",
+            ),
         ),
-        lambda transition, id, data: log_entries.make_submit(transition, id, data),
+        lambda transition, id, data, priority: log_entries.make_submit(
+            transition, id, data, priority
+        ),
         example="order --data task.json --id o12",
         note="If it is uncertain whether the team has the task (no answer in time), submit it "
         "again with the same --id: it counts only once. Exit codes: 0 the team has the task, 1 it "
         "does not, or no team was found, 2 the task or the usage is wrong.",
         noun="task",
-        like='{"transition": "order", "id": "o1", "data": {"pose": [1, 2]}}',
+        like='{"transition": "order", "id": "o1", "data": {"pose": [1, 2]}, "priority": 5}',
         form=Form(
             "entrance",
             "Submit a task …",
@@ -392,6 +405,57 @@ ORDERS: Dict[str, OrderKind] = {
             text="Of several tasks with one id, the first counts. Actions read the data as "
             "task.NAME.",
             confirm="Submit",
+            style="primary",
+        ),
+    ),
+    "tasks": OrderKind(
+        "show the tasks that a team has, and how the last ones ended",
+        answer=lambda worker: worker.tasks(),
+        asks=Asks.ALWAYS,
+        example="",
+    ),
+    "cancel": OrderKind(
+        "cancel a task: it is not to be done, or not any further",
+        (TASK_FIELD,),
+        lambda id: log_entries.CancelTask(log_entries.task_id(id)),
+        example="o12",
+        note="The action of a robot that has the task is cancelled, and the plan says what the "
+        "robot does then (tasks.on_cancel).",
+        form=Form(
+            "task",
+            "Cancel",
+            "It is not to be done. The action of a robot that has it is cancelled",
+            "Cancel task {id}",
+            title="Cancel task {id}?",
+            text="If a robot has it, its action is cancelled, and the plan says where it goes.",
+            confirm="Cancel the task",
+            style="danger",
+        ),
+    ),
+    "prioritise": OrderKind(
+        "put a task before others, or behind them",
+        (
+            TASK_FIELD,
+            OrderField(
+                "priority",
+                FieldKind.NUMBER,
+                "a whole number; tasks begin with 0",
+                label="Priority",
+                placeholder="0",
+            ),
+        ),
+        lambda id, priority: log_entries.make_prioritise(id, priority),
+        example="o12 5",
+        noun="priority of a task",
+        like='{"id": "o12", "priority": 5}',
+        form=Form(
+            "task",
+            "Priority …",
+            "Put it before others, or behind them",
+            "Prioritise task {id}",
+            title="Priority of task {id}",
+            text="Tasks with a higher priority come before others where they wait.",
+            confirm="Set the priority",
             style="primary",
         ),
     ),

@@ -8,7 +8,11 @@ from typing import Any, Callable, Deque, Dict, List, NamedTuple, Sequence, Tuple
 
 from gspn_framework_package.execution.agreement.interface import OrderGiven
 from gspn_framework_package.execution.agreement.replica import Replica
-from gspn_framework_package.execution.displayed_data import displayed_robot, displayed_team
+from gspn_framework_package.execution.displayed_data import (
+    displayed_robot,
+    displayed_tasks,
+    displayed_team,
+)
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_messages import (
     MessageFields,
@@ -113,6 +117,11 @@ class SelfReport:
                 if robot["robot"] in state.robots:
                     robot.update(displayed_robot(state.robots[robot["robot"]], self._net, brief))
         return status
+
+    def tasks(self) -> Dict[str, Any]:
+        """The tasks of the team, and how the last ones ended; see
+        :func:`~gspn_framework_package.execution.displayed_data.displayed_tasks`."""
+        return displayed_tasks(self._replica.ledger.state, self._replica.ledger.game.net)
 
     def waits_for(self) -> str:
         """What this robot waits for: its action, the team, or its transition; "" if nothing."""

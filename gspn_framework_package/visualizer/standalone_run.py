@@ -58,6 +58,8 @@ ANSWERS = {
     "set_place": "{whom} is now in {place}",
     "fire": "{transition} is fired",
     "submit": "task {id} enters by {transition}",
+    "cancel": "task {id} is cancelled",
+    "prioritise": "task {id} has priority {priority}",
 }
 """The orders that become an entry of the log -> the answer to the page."""
 
@@ -205,6 +207,10 @@ class StandaloneRun(Activity, Listener):
             raise RefusedError("there is no agent '%s' in the run" % name[:80])
         if command == "retry" and robot is not None and robot.phase is not Phase.FAILED:
             raise RefusedError("the action of %s has not failed" % name)
+        if command in ("cancel", "prioritise"):
+            why = self._executor.state.why_not_one_task(str(values["id"]))
+            if why:
+                raise RefusedError(why)
         if values.get("place") in self._plan.resource_places:
             raise RefusedError("'%s' is a resource place: no agent can be in it" % values["place"])
 

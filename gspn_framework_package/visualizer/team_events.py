@@ -280,4 +280,6 @@ def _deed(entry: log_entries.Entry) -> str:
         return "%s was lost" % entry.robot
     if isinstance(entry, log_entries.SetPlace):
         return "%s was moved to %s" % (entry.robot, entry.place)
+    if isinstance(entry, log_entries.CancelTask):
+        return "task %s was cancelled" % entry.id
     return ""

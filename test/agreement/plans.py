@@ -147,7 +147,7 @@ def _crowd() -> Tuple[Plan, Sequence[str]]:
     )
 
 
-def _errands() -> Tuple[Plan, Sequence[str]]:
+def _errands(steered: bool = False) -> Tuple[Plan, Sequence[str]]:
     """Tasks in a queue that is full at three, robots that carry them, events of every sort: held,
     resumed, in private places, by time, and in a place that only an event leaves."""
     builder = (
@@ -174,6 +174,8 @@ def _errands() -> Tuple[Plan, Sequence[str]]:
         .exponential("full", inputs="Charge", outputs=["Deliver", "dock"])
         .exponential("calm", inputs="Shelter", outputs="Deliver")
     )
+    if steered:
+        builder.exponential("dropped", inputs="Deliver", outputs="Idle")
     return _plan(
         builder,
         ["Idle", "Roam"],
@@ -186,13 +188,20 @@ def _errands() -> Tuple[Plan, Sequence[str]]:
             "alarm": EventSource("bell", "std_msgs/Empty", resume=True),
             "calm": EventSource(after=0.05),
         },
-        tasks=Tasks(("orders",), ("delivered",)),
+        tasks=Tasks(
+            ("orders",), ("delivered",), {"Deliver": "dropped", "Charge": None} if steered else {}
+        ),
         on_evict={
             "Deliver": {"orders": 1},
             "Charge": {"orders": 1, "dock": 1},
             "Shelter": {"orders": 1},
         },
     )
+
+
+def _steered_errands() -> Tuple[Plan, Sequence[str]]:
+    """The errands of a plan that says what a robot does whose task is cancelled."""
+    return _errands(steered=True)
 
 
 def _rounds() -> Tuple[Plan, Sequence[str]]:
@@ -230,10 +239,12 @@ _MAKERS: List[Callable[[], Tuple[Plan, Sequence[str]]]] = [
     _crowd,
     _errands,
     _rounds,
+    _steered_errands,
 ]
 
-NOT_REACTING, REACTING = (0, 1, 2, 3), (4, 5)
-"""The kinds of plans without and with events, tasks and data."""
+NOT_REACTING, REACTING, STEERED = (0, 1, 2, 3), (4, 5), 6
+"""The kinds of plans without and with events, tasks and data, and the one for orders about
+tasks."""
 
 
 @lru_cache(maxsize=None)

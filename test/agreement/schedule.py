@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import random
-from typing import Callable, Dict, List, NamedTuple, Optional, Set, Type
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Set, Tuple, Type
 
 from agreement.plans import (
     NOT_REACTING,
     REACTING,
+    STEERED,
     another_plan,
     make_plan,
 )
@@ -25,6 +26,7 @@ from gspn_framework_package.execution.agreement.quorum import is_quorum
 from gspn_framework_package.execution.agreement.replica import ProtocolLimits, Replica
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.team_tasks import TASK_CANCELLED
 from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.model.plan import Plan, Synchronisation
 
@@ -54,6 +56,8 @@ KINDS = {
     "off before it has heard that it has to join",
     "tight": "short histories, small chunks and batches, snapshots every few slots; long runs",
     "amnesia": "logs are lost wherever the others still are a quorum, and nothing else but crashes",
+    "tasks": "operators cancel tasks and change their priorities all the time, also of robots that "
+    "crash, are evicted, leave or are moved",
     "calm": "nothing fails, so that orders meet a team that moves fast",
     "link": "one link is cut for longer than an eviction takes: nobody is evicted for that",
     "sleep": "all robots are stopped for longer than an eviction takes: nobody is evicted for that",
@@ -97,6 +101,7 @@ KINDS.update(
 MOST_FAULTS = {
     "freeze": 20,
     "operator": 14,
+    "tasks": 20,
     "tight": 10,
     "calm": 14,
     "link": 0,
@@ -167,7 +172,9 @@ class _Run:
             evict_after = 0.35
         fence_after = source.choice([0.0, 0.25]) if evict_after else 0.0
         witness = schedule.robots == 2 and source.random() < 0.3
-        if reacts:
+        if self.kind == "tasks":
+            kind = STEERED
+        elif reacts:
             kind = source.choice(REACTING)
         elif self.deploys:
             kind = source.choice((*NOT_REACTING, *REACTING))
@@ -211,6 +218,9 @@ class _Run:
             self.world.fsync = False
             if source.random() < 0.5:  # what was sent before arrives in the next life
                 self.world.weather = Weather(loss=source.choice([0.0, 0.15]), late=0.4)
+        self.world.steered = self.kind == "tasks"
+        self.cancelled: List[Tuple[SimulatedNode, str, str]] = []
+        """Orders to cancel a task: the robot that was asked, the order, and the task."""
         self.faults_end = FAULTS_END * (
             2.5 if self.kind in ("tight", "archive", "link", "sleep", "leave") else 1.0
         )
@@ -235,7 +245,7 @@ class _Run:
     def _up(self) -> List[SimulatedNode]:
         return [n for n in self.world.alive() if not n.suspended and n.name not in self.left]
 
-    def _later(self, low: float, high: float, what: Callable[[], None]) -> None:
+    def _later(self, low: float, high: float, what: Callable[[], Any]) -> None:
         world = self.world
         world.at(world.now + low + (high - low) * self.random.random(), what)
 
@@ -254,12 +264,13 @@ class _Run:
             (0 if often in FORGETFUL else 1, self._leave),
             (8 if often == "outage" else 2, self._join),
             (12 if often in ("operator", "calm") else 3, self._order),
-            (4 if often == "operator" else 1, self._evict),
+            (4 if often in ("operator", "tasks") else 1, self._evict),
             (8 if often in FORCED else 0, self._force_evict),
             (6 if often == "spare" else 0, self._spare),
             (12 if often == "stand-in" else 0, self._stand_in),
             (12 if often == "outage" else 0, self._outage),
             (12 if often == "trust" else 0, self._trust),
+            (30 if often == "tasks" else 0, self._order_about_task),
         ]
         weights = [w for w, _ in kinds]
         self.random.choices([k for _, k in kinds], weights)[0]()
@@ -446,6 +457,49 @@ class _Run:
         self._count("order")
         if isinstance(entry, log_entries.Pause):
             self._later(0.02, 0.3, lambda: self._resume_team(who))
+
+    def _order_about_task(self) -> None:
+        """An operator asks a robot to change what is to be done with a task, often one that robots
+        have in hand; sometimes two operators do so at once."""
+        up = self._up()
+        for node in self.random.sample(up, min(len(up), self.random.choice([1, 1, 2]))):
+            if node.replica is None:
+                continue
+            found = list(node.replica.ledger.state.tasks())
+            with_robots = [each for each in found if each.robot]
+            if with_robots and self.random.random() < 0.6:
+                found = with_robots
+            names = [each.task.id for each in found] or ["t%d" % max(1, self.world.tasks)]
+            task, what = self.random.choice(names), self.random.random()
+            if what < 0.6:
+                order = self.world.operator(log_entries.CancelTask(task), node)
+                self.cancelled.append((node, order, task))
+                self._count("cancel")
+            else:
+                priority = self.random.choice([-1, 0, 2, 9])
+                self.world.operator(log_entries.PrioritiseTask(task, priority), node)
+                self._count("prioritise")
+
+    def _look_at_cancelled(self) -> None:
+        """Check that tasks of which an operator heard that they are cancelled are, and that no task
+        is at two places or has ended twice."""
+        for node in self.world.alive():
+            assert node.replica is not None
+            team = node.replica.ledger.state
+            there = [found.task.id for found in team.tasks()]
+            ended = [each.id for each in team.ended_tasks]
+            twice = [t for t in {*there, *ended} if (there + ended).count(t) > 1]
+            if twice:
+                raise ViolationError("%s has %s twice" % (node.key, ", ".join(sorted(twice))))
+            for asked, order, task in self.cancelled:
+                result = asked.results.get(order)
+                end = team.end_of(task)
+                if (
+                    result is not None
+                    and result.ok
+                    and (end is None or end.outcome != TASK_CANCELLED)
+                ):
+                    raise ViolationError("%s is not cancelled: %s" % (task, end))
 
     def _resume_team(self, who: str) -> None:
         up = self._up()
@@ -720,6 +774,8 @@ class _Run:
             self._nobody_is_lost()
         if settled:
             world.same_state()
+            if not world.given_up and self.kind == "tasks":
+                self._look_at_cancelled()
         ledgers = [n.replica.ledger for n in world.alive() if n.replica is not None]
         if any(ledger.state.adopted is not None for ledger in ledgers):
             self.faults["another plan adopted"] = 1

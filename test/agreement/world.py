@@ -425,6 +425,8 @@ class World:
         self.robot_events = _robot_events(plan)
         self.tasks = 0
         """The number of tasks that came."""
+        self.steered = False
+        """Whether tasks have priorities."""
         self.reached: List[Tuple[Disk, log_entries.Submit]] = []
         """(log of a robot, task) of all that reached robots."""
         self.nodes: Dict[str, SimulatedNode] = {}
@@ -600,6 +602,8 @@ class World:
             plan = self.random.choice(up).plan
             transition = self.random.choice(plan.submissions or self.plan.submissions)
             task = log_entries.Submit(transition, "t%d" % self.tasks, {"number": self.tasks})
+            if self.steered:
+                task = task._replace(priority=self.random.choice([0, 0, 1, 5]))
             if self.random.random() < 0.2:
                 self.operator(task, self.random.choice(up))
             else:
@@ -798,9 +802,11 @@ class World:
         name = replica.config.name
         return state.staged.votes.get(name, (-1, ""))[0] != replica.incarnation
 
-    def operator(self, order: log_entries.Entry, node: SimulatedNode) -> None:
-        """Give an operator's order to a node."""
-        node.give(interface.Order("o%d" % next(self._count), order))
+    def operator(self, order: log_entries.Entry, node: SimulatedNode) -> str:
+        """Give an operator's order to a node; returns the id of the order."""
+        order_id = "o%d" % next(self._count)
+        node.give(interface.Order(order_id, order))
+        return order_id
 
     def logs(self) -> List[Disk]:
         """All logs that were ever written, including lost ones. The checker wants that of the

@@ -13,8 +13,15 @@ class Shop(ReportedRun):
     """A run of the shop whose log the test writes; tasks of the page go into it."""
 
     def __init__(self, plan):
-        super().__init__(plan, {"run": "run_7"}, commands=["fire", "submit", "breakpoints"])
-        self.commands = {"submit": self._submit, "breakpoints": self._halt}
+        super().__init__(
+            plan,
+            {"run": "run_7"},
+            commands=["fire", "submit", "cancel", "prioritise", "breakpoints"],
+        )
+        self.commands = {
+            "breakpoints": self._halt,
+            **{name: self._order(name) for name in ("submit", "cancel", "prioritise")},
+        }
         self.game = TokenGame(plan)
         self.state = self.game.new_state()
         self.events = TeamEvents(self.game)
@@ -28,11 +35,14 @@ class Shop(ReportedRun):
         self.hub.change_info(breakpoints=fields["names"])
         return {"message": "robots stop there"}
 
-    def _submit(self, fields):
-        kind = ORDERS["submit"]
-        task = kind.entry(**kind.values(fields, PAGE, self.plan))
-        self.feed(task)
-        return {"message": "task %s comes in" % task.id}
+    def _order(self, name):
+        def order(fields):
+            kind = ORDERS[name]
+            entry = kind.entry(**kind.values(fields, PAGE, self.plan))
+            self.feed(entry)
+            return {"message": "task %s: %s" % (entry.id, name)}
+
+        return order
 
 
 @pytest.fixture(name="run")
@@ -57,7 +67,7 @@ def test_tasks_data_and_causes_are_shown_and_tasks_are_submitted(run, open_page,
     page.wait_for_selector("dialog .wrong:has-text('the data is not JSON')")
     page.fill("#order-data", '{"pose": [1, 0]}')
     page.click("dialog button:has-text('Submit')")
-    page.wait_for_selector("#toast:has-text('task o1 comes in')")
+    page.wait_for_selector("#toast:has-text('task o1: submit')")
 
     for entries in SLOTS[:3]:
         run.feed(*entries)
@@ -97,3 +107,26 @@ def test_tasks_data_and_causes_are_shown_and_tasks_are_submitted(run, open_page,
     page.wait_for_selector(".robot-card[data-robot='b'] .held")
     page.wait_for_selector("#robots .team-data", state="detached")
     axe(page, "data and tasks", "right")
+
+
+def test_tasks_are_submitted_with_a_priority_put_before_others_and_cancelled(run, open_page):
+    page = open_page(run.site.address)
+    for entries in SLOTS[:3]:
+        run.feed(*entries)
+    page.click("#list li:has-text('Orders')")
+    page.wait_for_selector("#inspector .task >> nth=0 >> text=task o3")
+    page.click("#inspector .task:has-text('task o5') button:has-text('Priority')")
+    page.fill("#order-priority", "much")
+    page.click("dialog button:has-text('Set the priority')")
+    page.wait_for_selector("dialog .wrong:has-text('not a whole number')")
+    page.fill("#order-priority", "7")
+    page.click("dialog button:has-text('Set the priority')")
+    page.wait_for_selector("#inspector .task >> nth=0 >> text=task o5")
+    page.click("#inspector .task:has-text('task o3') button:has-text('Cancel')")
+    page.click("dialog button:has-text('Cancel the task')")
+    page.wait_for_selector("#inspector .task:has-text('task o3')", state="detached")
+    page.keyboard.press("2")
+    page.click(".robot-card[data-robot='a'] button:has-text('Cancel')")
+    page.click("dialog button:has-text('Cancel the task')")
+    page.wait_for_selector(".robot-card[data-robot='a'] .task", state="detached")
+    assert [ended.outcome for ended in run.state.ended_tasks] == ["cancelled", "cancelled"]

@@ -15,7 +15,7 @@ from gspn_framework_package.execution.agreement.quorum import Ballot
 from gspn_framework_package.execution.ledger import Item
 from gspn_framework_package.model.errors import LogError
 
-PROTOCOL_VERSION = 5
+PROTOCOL_VERSION = 6
 """Version of the protocol; replicas of different versions cannot communicate."""
 
 MOST_ITEMS = 10_000

@@ -170,6 +170,8 @@ class Orders:
             and robot.phase is not Phase.FAILED
         ):
             return "the action of %s did not fail" % name
+        if isinstance(entry, (log_entries.CancelTask, log_entries.PrioritiseTask)):
+            return state.ledger.state.why_not_one_task(entry.id)
         return self._why_not_deployed(entry)
 
     def _why_not_deployed(self, entry: log_entries.Entry) -> str:

@@ -22,6 +22,7 @@ from gspn_framework_package.execution.agreement.state import (
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.firing import Fault, Firing, firing_to_json
 from gspn_framework_package.execution.ledger import Item, Origin
+from gspn_framework_package.execution.team_tasks import TASK_CANCELLED
 from gspn_framework_package.execution.token_game import Step
 
 
@@ -115,8 +116,20 @@ class ProposalQueue:
         if not in_log:
             self.outbox.order_result(own.order_id, False, "was superseded by a newer one")
             return
-        why = self._without_effect(own.item.entry, step)
-        self.outbox.order_result(own.order_id, not why, why or "done, in slot %d of the log" % slot)
+        entry = own.item.entry
+        why = self._without_effect(entry, step)
+        text = "done, in slot %d of the log" % slot
+        if isinstance(entry, (log_entries.CancelTask, log_entries.PrioritiseTask)):
+            text = self._about_task(entry)
+        self.outbox.order_result(own.order_id, not why, why or text)
+
+    def _about_task(self, entry: log_entries.TaskOrder) -> str:
+        """What an order has done to a task."""
+        ledger = self.state.ledger
+        text = ledger.state.whereabouts(entry.id, ledger.game.net)
+        if isinstance(entry, log_entries.PrioritiseTask):
+            text = "priority %d: %s" % (entry.priority, text)
+        return text
 
     def _without_effect(self, entry: log_entries.Entry, step: Optional[Step]) -> str:
         """Why an order in the log had no effect; "" if it had one."""
@@ -126,6 +139,13 @@ class ProposalQueue:
                 for c in (step.commands if step is not None else ())
                 if isinstance(c, Fault)
             )
+        team = self.state.ledger.state
+        if isinstance(entry, log_entries.PrioritiseTask):
+            return team.why_not_one_task(entry.id)
+        if isinstance(entry, log_entries.CancelTask):
+            ended = team.end_of(entry.id)
+            cancelled = ended is not None and ended.outcome == TASK_CANCELLED
+            return "" if cancelled else team.why_not_one_task(entry.id)
         if isinstance(
             entry, (log_entries.Leave, log_entries.Evict)
         ) and self.electorate.members() == [entry.robot]:

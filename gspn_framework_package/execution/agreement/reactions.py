@@ -153,9 +153,7 @@ class Reactions:
         if order_id and key in state.offered:
             self._orders.setdefault(key, []).append(order_id)
         elif order_id:
-            team, net = state.ledger.state, state.ledger.game.net
-            here = [text for text in team.tasks_left(net) if text.startswith(task.id + " ")]
-            where = "it is " + here[0][len(task.id) + 1 :] if here else "the team no longer has it"
+            where = state.ledger.state.whereabouts(task.id, state.ledger.game.net)
             text = "the task was submitted before and is not taken again: %s" % where
             self.outbox.order_result(order_id, True, text)
         return ""
@@ -204,9 +202,12 @@ class Reactions:
 
     def _answer(self, key: Tuple[str, str], orders: List[str]) -> None:
         """Answer the operators once the team has their task."""
-        team = self.state.ledger.state
+        team, net = self.state.ledger.state, self.state.ledger.game.net
         waits = any(task.id == key[1] for _, task in team.submitted)
-        text = "the team has the task; it waits until '%s' is enabled" % key[0] if waits else "done"
+        where = (
+            "it waits until '%s' is enabled" % key[0] if waits else team.whereabouts(key[1], net)
+        )
+        text = "the team has the task; " + where
         for order in orders:
             self.outbox.order_result(order, True, text)
 

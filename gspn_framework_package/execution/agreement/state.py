@@ -38,6 +38,7 @@ CONTROLS = (
     log_entries.SetPlace,
     log_entries.Stop,
     log_entries.Adopt,
+    log_entries.CancelTask,
 )
 """Orders that local transitions must not pass: partial synchronisation decides them while all
 robots hold still."""

@@ -27,9 +27,12 @@ TaskMoves = List[Tuple[str, str, str]]
 class LoggedTask:
     """A task, or a token of a queue without a task (``id`` "")."""
 
-    def __init__(self, task_id: str = "", data: Optional[Mapping[str, Any]] = None) -> None:
+    def __init__(
+        self, task_id: str = "", data: Optional[Mapping[str, Any]] = None, priority: int = 0
+    ) -> None:
         self.id = task_id
         self.data: Dict[str, Any] = dict(data or {})
+        self.priority = priority
 
 
 class Cargo:
@@ -57,8 +60,8 @@ class Cargo:
         self.carried: Dict[str, LoggedTask] = {}
         """Robot -> its task."""
         self.outside: List[Tuple[str, LoggedTask]] = []
-        """(transition, task) of tasks that arrived and still wait outside the net, the oldest
-        first."""
+        """(transition, task) of tasks that arrived and still wait outside the net, those of the
+        highest priority first, the oldest of them before the others."""
         self._known: Dict[str, List[str]] = {}
         self._known_set: Set[Tuple[str, str]] = set()
 
@@ -90,6 +93,7 @@ class Cargo:
                 self.queues[heir] += queues.get(
                     place, [LoggedTask() for _ in range(marking[place])]
                 )
+                self._in_order(heir)
         self.outside = [(called.get(t, t), task) for t, task in self.outside]
         known, self._known, self._known_set = self._known, {}, set()
         for t, ids in known.items():
@@ -127,10 +131,52 @@ class Cargo:
             ids.remove(entry.id)
         ids.append(entry.id)
         self._known_set.add(key)
-        self.outside.append((entry.transition, LoggedTask(entry.id, entry.data)))
-        waiting = next(task.id for t, task in self.outside if t == entry.transition)
-        while len(ids) > REMEMBERED_TASKS and ids[0] != waiting:
+        self.outside.append((entry.transition, LoggedTask(entry.id, entry.data, entry.priority)))
+        self._in_order()
+        while len(ids) > REMEMBERED_TASKS:
+            if (entry.transition, ids[0]) in [(t, task.id) for t, task in self.outside]:
+                break
             self._known_set.discard((entry.transition, ids.pop(0)))
+
+    def _in_order(self, place: str = "") -> None:
+        """Put the tasks of a queue, or those outside, in order; equal ones stay as they are."""
+        if place:
+            self.queues[place].sort(key=lambda task: -task.priority)
+        else:
+            self.outside.sort(key=lambda item: -item[1].priority)
+
+    def find(self, task_id: str) -> Tuple[str, str]:
+        """Where the task with an id is: (``robot``, its name), (``place``, its name), (``outside``,
+        the transition), or empty if there is none, or several."""
+        there = [("robot", r) for r, task in self.carried.items() if task.id == task_id]
+        there += [("place", p) for p, q in self.queues.items() for t in q if t.id == task_id]
+        there += [("outside", t) for t, task in self.outside if task.id == task_id]
+        return there[0] if len(there) == 1 and task_id else ("", "")
+
+    def remove(self, task_id: str) -> None:
+        """Remove a task, wherever it is."""
+        self.carried = {r: task for r, task in self.carried.items() if task.id != task_id}
+        for place, queue in self.queues.items():
+            self.queues[place] = [task for task in queue if task.id != task_id]
+        self.outside = [(t, task) for t, task in self.outside if task.id != task_id]
+
+    def prioritise(self, task_id: str, priority: int) -> None:
+        """Give a task another priority; it goes behind those that have it already."""
+        kind, where = self.find(task_id)
+        if kind == "robot":
+            self.carried[where].priority = priority
+        elif kind == "place":
+            task = next(task for task in self.queues[where] if task.id == task_id)
+            task.priority = priority
+            self.queues[where].remove(task)
+            self.queues[where].append(task)
+            self._in_order(where)
+        elif kind == "outside":
+            item = next(item for item in self.outside if item[1].id == task_id)
+            item[1].priority = priority
+            self.outside.remove(item)
+            self.outside.append(item)
+            self._in_order()
 
     def returned(self, robot: str, place: str, tokens: int) -> None:
         """Return tokens of a queue from a robot that is gone; the first of them is its task."""
@@ -138,6 +184,7 @@ class Cargo:
             task = self.carried.pop(robot, None) or LoggedTask()
             fillers = [LoggedTask() for _ in range(tokens - 1)]
             self.queues[place] = [task, *fillers, *self.queues[place]]
+            self._in_order(place)
 
     # -- firings -----------------------------------------------------------------------------------
 
@@ -179,6 +226,7 @@ class Cargo:
         for p in room:
             task, source = next(loads, (LoggedTask(), ""))
             self.queues[p].append(task)
+            self._in_order(p)
             moves.append((task.id, source, "place " + p))
         for robot, stays in movers:
             if not stays and robot in self.carried:

@@ -252,6 +252,10 @@ class LoggedTeam:
             return self._event(entry)
         elif isinstance(entry, log_entries.Submit):
             self.cargo.comes(entry, [r.name for r in self.robots.values() if not r.here])
+        elif isinstance(entry, log_entries.CancelTask):
+            self._cancel(entry.id)
+        elif isinstance(entry, log_entries.PrioritiseTask):
+            self.cargo.prioritise(entry.id, entry.priority)
         elif isinstance(entry, log_entries.Join):
             self.stages.joins(entry.robot, self.witnesses)
             self._join(entry)
@@ -280,6 +284,28 @@ class LoggedTeam:
         else:
             self.stages.apply(entry, self.robots.get(getattr(entry, "robot", "")), self.witnesses)
         return None
+
+    def _cancel(self, task_id: str) -> None:
+        """A task is not to be done; its robot goes on without it as the plan says."""
+        kind, where = self.cargo.find(task_id)
+        if not kind:
+            return
+        self.cargo.remove(task_id)
+        if kind == "place":
+            self.marking[where] -= 1
+        elif kind == "robot" and self.robots[where].here:
+            self._loses_task(self.robots[where])
+
+    def _loses_task(self, robot: LoggedRobot) -> None:
+        rule = self.plan.tasks.on_cancel
+        if robot.phase is Phase.INACTIVE or (robot.place in rule and rule[robot.place] is None):
+            return
+        robot.may_ask = None
+        asks = rule.get(robot.place)
+        if asks is None:
+            robot.phase = Phase.FAILED
+        else:
+            self._ask(robot, asks)
 
     # -- plan changes ------------------------------------------------------------------------------
 

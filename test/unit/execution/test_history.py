@@ -94,6 +94,22 @@ def test_a_log_of_protocol_4_is_read_as_it_was_written() -> None:
         list(replay(log))
 
 
+def test_a_log_of_protocol_5_is_read_as_it_was_written() -> None:
+    """In that version, tasks had no priority and no time, and a team did not know how they
+    ended."""
+    log = read_log(os.path.join(os.path.dirname(__file__), "protocol_5.jsonl"))
+    assert any(e["entry"] == "submit" for r in log.records for e in r.get("entries", ()))
+    last = list(replay(log))[-1]
+    assert [e.outcome for e in last.state.ended_tasks] == ["done"]
+    assert verify([log]).violation is None
+    # whoever goes on from its snapshot does as whoever read all of it
+    snapshot = next(i for i, record in enumerate(log.records) if record["kind"] == "snapshot")
+    tail = [r for r in log.records[snapshot:] if r["kind"] in ("snapshot", "slot")]
+    again = list(replay(EventLog(log.path, log.header, tail, log.plan)))[-1]
+    assert again.state.robots == last.state.robots
+    assert again.state.queues == last.state.queues
+
+
 def everywhere(lie: Callable[[Any], None]) -> Callable[[List[EventLog]], None]:
     """The same lie in all logs, with the chain mended."""
 

@@ -9,7 +9,8 @@ import pytest
 
 import gspn_framework_package
 from gspn_framework_package.execution.phase import Phase, phases_to_json
-from gspn_framework_package.execution.team_state import RobotState, Task, TeamState, reported_phase
+from gspn_framework_package.execution.team_state import RobotState, TeamState, reported_phase
+from gspn_framework_package.execution.team_tasks import Task
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.outcome import FAILURES

@@ -9,7 +9,7 @@ import pytest
 from game_driver import Run, make_plan
 from logged_runs import Story
 
-from gspn_framework_package.execution import log_entries, plan_change, team_state, token_game
+from gspn_framework_package.execution import log_entries, plan_change, task_turn, team_state
 from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.event_watch import EventWatch, Visit, asked_anew
 from gspn_framework_package.execution.firing import CancelAction, Fault, StartAction, TaskMove
@@ -198,7 +198,7 @@ def test_a_task_waits_until_its_transition_is_enabled():
 
 
 def test_a_task_that_waits_is_never_forgotten(monkeypatch):
-    monkeypatch.setattr(token_game, "KNOWN_TASKS", 2)
+    monkeypatch.setattr(task_turn, "KNOWN_TASKS", 2)
     monkeypatch.setattr(cargo, "REMEMBERED_TASKS", 2)
     run = shop()
     checker = cargo.Cargo(run.game.plan, {}, {})

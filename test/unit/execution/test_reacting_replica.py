@@ -9,7 +9,7 @@ import pytest
 
 from agreement.plans import make_plan
 from agreement.world import SimulatedNode, World
-from gspn_framework_package.execution import log_entries, team_state, token_game
+from gspn_framework_package.execution import log_entries, task_turn, team_state
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.firing import StartAction
@@ -86,7 +86,7 @@ def restart(node: SimulatedNode) -> None:
 
 
 def test_tasks_that_the_team_forgot_it_had_are_not_offered_again(monkeypatch: Any) -> None:
-    monkeypatch.setattr(token_game, "KNOWN_TASKS", 2)
+    monkeypatch.setattr(task_turn, "KNOWN_TASKS", 2)
     world = team()
     for number in range(6):
         world.submit("r1", number)
@@ -155,7 +155,7 @@ def test_an_operator_hears_when_the_team_has_the_task() -> None:
         task = log_entries.Submit("order", "t%d" % number)
         world.give("r2", interface.Order("o%d" % number, task))
     results = world.nodes["r2"].results
-    assert results["o1"].ok and results["o1"].text == "done"
+    assert results["o1"].ok and results["o1"].text == "the team has the task; it is in orders"
     assert results["o6"].ok and "waits until 'order' is enabled" in results["o6"].text
     world.give("r2", interface.Order("again", log_entries.Submit("order", "t1")))
     assert results["again"].ok

@@ -194,7 +194,7 @@ export class Inspector extends EventTarget {
     const kinds = {
       action: "action place",
       resource: place.queue
-        ? "queue: its tokens are tasks, first in, first out"
+        ? "queue: its tokens are tasks, the oldest of the highest priority first"
         : "resource place: its tokens are counters",
       plain: "place",
     };
@@ -230,7 +230,9 @@ export class Inspector extends EventTarget {
     const tasks = queueOf(this.model.board, place.name);
     return [
       h("h3", "Tasks"),
-      tasks.length ? tasks.map(taskLine) : h("p.muted", "none known"),
+      tasks.length
+        ? tasks.map((task) => taskLine(task, this.orders.ofTask(task)))
+        : h("p.muted", "none known"),
       tasks.length > 0 &&
         tasks.length < tokens &&
         h("p.muted", `and ${tokens - tasks.length} more`),

@@ -21,12 +21,16 @@ function jsonObject(text) {
   return value;
 }
 
+/** The whole number in a text; the text itself if it is none, for the server to refuse. */
+const wholeNumber = (text) => (/^-?\d{1,15}$/.test(text) ? Number(text) : text);
+
 /** The values of fields that were given in elements: name -> value. */
 function valuesOf(inputs) {
+  const read = { object: jsonObject, number: (text) => wholeNumber(text.trim()) };
   return Object.fromEntries(
     inputs.map(({ field, element }) => [
       field.name,
-      field.kind === "object" ? jsonObject(element.value) : element.value.trim(),
+      (read[field.kind] || ((text) => text.trim()))(element.value),
     ]),
   );
 }
@@ -264,6 +268,11 @@ export class Orders extends EventTarget {
     if (answer) await this.order(answer, { ...fields, ...valuesOf(inputs.get(answer)) });
   }
 
+  /** The buttons for a task that waits or that a robot has: [id, data]. */
+  ofTask(task) {
+    return task?.[0] ? this.buttons("task", { id: task[0] }) : [];
+  }
+
   /** The buttons on the card of a robot. */
   ofRobot(robot) {
     const is = reportOf(robot.phase);
@@ -273,6 +282,7 @@ export class Orders extends EventTarget {
     return [
       ...(is.failed ? this.buttons("failed", fields) : []),
       ...this.buttons(robot.paused ? "paused" : "running", fields),
+      ...this.ofTask(robot.task),
       rare.length > 0 &&
         this.button(rare[0], robot.name, () => this.more(robot), {
           label: "More …",

@@ -17,9 +17,14 @@ export const waitingFor = (board, transition) =>
 export const dataLines = (named) =>
   entriesOf(named).map(([name, value]) => h("div.datum", h("span.name", name), ` ${value}`));
 
-/** A task with its data. */
-export const taskLine = ([id, data]) =>
-  h("div.task", h("strong", id ? `task ${id}` : "a task without an id"), dataLines(data));
+/** A task with its data, and the buttons of orders about it. */
+export const taskLine = ([id, data], buttons = []) =>
+  h(
+    "div.task",
+    h("strong", id ? `task ${id}` : "a task without an id"),
+    dataLines(data),
+    buttons.length > 0 && h("div.buttons", buttons),
+  );
 
 /** The task, the held events and the data of a robot; empty if it has none. */
 export function robotExtras(robot) {

@@ -1,0 +1,159 @@
+"""What entries of the log do with tasks: they come in, return to their queues, are cancelled and
+are put before others."""
+
+from __future__ import annotations
+
+from typing import List, Mapping, Optional
+
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.team_state import OUTSIDE_LIMIT, RobotState
+from gspn_framework_package.execution.team_tasks import TASK_CANCELLED, FoundTask, Task, by_priority
+from gspn_framework_package.execution.turn import Turn
+
+KNOWN_TASKS = 10_000
+"""Number of task ids remembered for each transition; older ids count as new."""
+
+
+class TaskTurn(Turn):
+    """A turn with the effects of the entries about tasks."""
+
+    # -- tasks that come in ------------------------------------------------------------------------
+
+    def _submit(self, entry: log_entries.Submit) -> None:
+        t = self.net.transition_index.get(entry.transition)
+        if t not in self.rules.submissions:
+            self._fault(None, "'%s' does not take tasks" % entry.transition)
+            return
+        assert t is not None
+        carrier = self.state.gone_with(t, entry.id) if entry.again else None
+        if self.state.is_known(t, entry.id) and carrier is None:
+            return
+        if self.state.is_full(t):
+            text = "%d tasks are already waiting for '%s'; '%s' is refused"
+            self._fault(None, text % (OUTSIDE_LIMIT, entry.transition, entry.id))
+            return
+        self._wait_outside(t, Task(entry.id, entry.data, entry.priority, entry.since))
+        known = self.state.known.setdefault(t, {})
+        if carrier is not None:
+            carrier.task = None
+            del known[entry.id]
+        known[entry.id] = None
+        while len(known) > KNOWN_TASKS:
+            oldest = next(iter(known))
+            if any(task.id == oldest for other, task in self.state.submitted if other == t):
+                break  # ids of waiting tasks are not forgotten
+            del known[oldest]
+
+    def _wait_outside(self, t: int, task: Task) -> None:
+        """Let a task wait outside the net until ``t`` is enabled."""
+        waiting = self.state.submitted
+        at = len(waiting)
+        while at and waiting[at - 1][1].priority < task.priority:
+            at -= 1
+        waiting.insert(at, (t, task))
+
+    # -- orders about tasks ------------------------------------------------------------------------
+
+    def _about_task(self, entry: log_entries.TaskOrder) -> None:
+        """Carry out an order about a task."""
+        there = self.state.tasks_with(entry.id)
+        if len(there) != 1:
+            return  # it has ended since, or nobody can know which is meant
+        if isinstance(entry, log_entries.CancelTask):
+            self._cancel_task(there[0])
+        else:
+            self._prioritise(there[0], entry.priority)
+
+    def _cancel_task(self, found: FoundTask) -> None:
+        state, task, where = self.state, found.task, found.where(self.net)
+        robot = state.robots.get(found.robot)
+        if robot is not None:
+            robot.task = None
+            if not robot.phase.gone:
+                where += " in " + self._name(robot.place)
+                self._goes_on_without(robot, "its task %s was cancelled" % task.id)
+        else:
+            self._take_out(found)
+            if found.place is not None:
+                marking = list(state.marking)
+                marking[found.place] -= 1
+                state.set_marking(tuple(marking))
+        state.end_task(task, TASK_CANCELLED, where)
+
+    def _take_out(self, found: FoundTask) -> None:
+        """Remove a task from those that wait."""
+        state = self.state
+        if found.place is not None:
+            queue = state.queues[found.place]
+            state.queues[found.place] = [task for task in queue if task.id != found.task.id]
+        else:
+            state.submitted = [item for item in state.submitted if item[1].id != found.task.id]
+
+    def _prioritise(self, found: FoundTask, priority: int) -> None:
+        task = found.task._replace(priority=priority)
+        robot = self.state.robots.get(found.robot)
+        if robot is not None:
+            robot.task = task
+            return
+        self._take_out(found)
+        if found.place is not None:
+            queue = self.state.queues[found.place]
+            self.state.queues[found.place] = by_priority(queue, task)
+        elif found.before is not None:
+            self._wait_outside(found.before, task)
+
+    def _goes_on_without(self, robot: RobotState, why: str) -> None:
+        """Have a robot go on that has lost its task, as the plan says; where the plan says nothing,
+        it waits for the operator."""
+        if robot.phase is Phase.INACTIVE:
+            return
+        if robot.place in self.rules.on_cancel and self.rules.on_cancel[robot.place] is None:
+            return
+        self._cancel(robot)
+        self.state.remove_waiting(robot)
+        t: Optional[int] = self.rules.on_cancel.get(robot.place)
+        if t is not None:
+            self._ask(robot, t)
+            return
+        robot.phase, robot.why = Phase.FAILED, why
+        text = "%s; it waits in %s for the operator, because tasks.on_cancel says nothing"
+        self._fault(robot, text % (why, self._name(robot.place)))
+
+    # -- tasks that return to their queues ---------------------------------------------------------
+
+    def _gave_back(self, robot: RobotState) -> Mapping[str, int]:
+        """The resources that a robot returns when it departs from its place: resource place ->
+        tokens."""
+        return self.plan.on_evict.get(self._name(robot.place), {})
+
+    def _holds_task(self, place: str) -> bool:
+        """Whether a robot that departs from a place returns a task."""
+        names = (self.net.places[q].name for q in self.rules.queues)
+        return not self.plan.on_evict.get(place, {}).keys().isdisjoint(names)
+
+    def _put_down(self, robot: RobotState, place: str, marking: List[int]) -> None:
+        """Return the task of a robot that is moved to a place where robots carry none."""
+        if robot.task is None or self._holds_task(place):
+            return
+        if self._holds_task(self._name(robot.place)):
+            self._give_back(robot, marking, only_tasks=True)
+        elif robot.task.id:
+            text = "keeps task %s in %s, because %s returns it to no queue (on_evict)"
+            self._fault(robot, text % (robot.task.id, place, self._name(robot.place)))
+
+    def _give_back(self, robot: RobotState, marking: List[int], only_tasks: bool = False) -> None:
+        for resource, count in self._gave_back(robot).items():
+            p = self.net.place_number(resource)
+            if p in self.rules.queues or not only_tasks:
+                marking[p] += count
+            if p not in self.rules.queues:
+                continue
+            # its task goes first, because it arrived before those still waiting
+            queue = self.state.queues.get(p, [])
+            for task in [*[Task()] * (count - 1), robot.task or Task()]:
+                queue = by_priority(queue, task, first=True)
+            self.state.queues[p] = queue
+            if robot.task is not None and robot.task.id:
+                self._fault(robot, "returns task %s to %s" % (robot.task.id, resource))
+            robot.task = None

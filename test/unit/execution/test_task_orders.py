@@ -1,0 +1,218 @@
+"""Orders about tasks: cancelling, priorities, what the team then says of a task."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from game_driver import Run, make_plan
+from test_reacting import shop_net
+from test_reacting_replica import ERRANDS, Team, restart
+
+from agreement.plans import make_plan as agreement_plan
+from gspn_framework_package.cli.tasks import lines
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.agreement import interface
+from gspn_framework_package.execution.displayed_data import displayed_tasks
+from gspn_framework_package.execution.firing import CancelAction, Fault
+from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.team_state import TeamState
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.errors import DataError, PlanError
+from gspn_framework_package.model.event import Tasks
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan
+
+
+def net_with_way_out() -> Net:
+    """Orders come in, robots take and deliver them, or give up."""
+    return (
+        NetBuilder()
+        .place("Idle")
+        .place("Deliver")
+        .place("Orders", capacity=3)
+        .exponential("order", rate=1, outputs="Orders")
+        .immediate("take", inputs=["Idle", "Orders"], outputs="Deliver")
+        .exponential("delivered", rate=1, inputs="Deliver", outputs="Idle")
+        .exponential("give_up", rate=1, inputs="Deliver", outputs="Idle")
+        .build()
+    )
+
+
+def plan_of(net: Net, robots: int = 1, on_cancel: Any = None, idle: bool = True) -> Plan:
+    return make_plan(
+        net,
+        ["Idle"] * robots,
+        ["Orders"],
+        idle=["Idle"] if idle else [],
+        tasks=Tasks(("Orders",), ("delivered",), on_cancel or {}),
+        on_evict={"Deliver": {"Orders": 1}},
+    )
+
+
+def shop(**fields: Any) -> Run:
+    return Run(plan_of(net_with_way_out(), **fields), in_order=True)
+
+
+def submit(task: str, priority: int = 0) -> log_entries.Submit:
+    return log_entries.Submit("order", task, priority=priority)
+
+
+def waiting(run: Run) -> Any:
+    return [task.id for queue in run.state.queues.values() for task in queue]
+
+
+def ended(run: Run) -> Any:
+    return [tuple(e[:2]) for e in run.state.ended_tasks]
+
+
+def test_a_task_that_waits_is_cancelled() -> None:
+    run = shop(idle=False)
+    run.feed(*(submit("o%d" % n) for n in range(1, 6)))
+    assert waiting(run) == ["o1", "o2", "o3"]
+    assert run.feed(log_entries.CancelTask("o2")) == ["order"]  # there is room for the next
+    assert waiting(run) == ["o1", "o3", "o4"]
+    run.feed(log_entries.CancelTask("o5"))  # outside
+    assert run.state.submitted == []
+    assert ended(run) == [("o2", "cancelled"), ("o5", "cancelled")]
+    assert (
+        run.feed(log_entries.CancelTask("o2"), submit("o2")) == []
+    )  # it counts once, and comes once
+
+
+def test_a_robot_goes_on_as_the_plan_says_when_its_task_is_cancelled() -> None:
+    run = shop(on_cancel={"Deliver": "give_up"})
+    run.feed(submit("o1"), submit("o2"))
+    assert run.feed(log_entries.CancelTask("o1")) == ["give_up", "take"]
+    assert CancelAction("a", 2) in run.commands
+    assert run.state.robots["a"].task.id == "o2"
+    assert ended(run) == [("o1", "cancelled")]
+    # the action had ended at the same moment: too late
+    assert run.feed(log_entries.Done("a", 0, 2, "delivered")) == []
+
+
+def test_a_robot_may_go_on_with_its_action_without_its_task() -> None:
+    run = shop(on_cancel={"Deliver": None})
+    run.feed(submit("o1"))
+    commands = len(run.commands)
+    assert run.feed(log_entries.CancelTask("o1")) == []
+    assert run.commands[commands:] == [] and run.state.robots["a"].task is None
+    assert run.done("a", "delivered") == ["delivered"]
+    assert ended(run) == [("o1", "cancelled")]
+
+
+def test_where_the_plan_says_nothing_a_robot_waits_for_the_operator() -> None:
+    run = shop()
+    run.feed(submit("o1"))
+    run.feed(log_entries.CancelTask("o1"))
+    robot = run.state.robots["a"]
+    assert robot.phase is Phase.FAILED and robot.why == "its task o1 was cancelled"
+    assert any("for the operator" in c.message for c in run.commands if isinstance(c, Fault))
+    run.feed(log_entries.SetPlace("a", "Idle"), submit("o2"))
+    assert robot.task is not None and robot.task.id == "o2"
+
+
+def test_a_task_of_a_robot_that_is_gone_can_be_cancelled() -> None:
+    plan = replace(plan_of(net_with_way_out(), robots=2), on_evict={})
+    run = Run(plan, in_order=True)
+    run.feed(submit("o1"))
+    run.feed(log_entries.Evict("a", 0))
+    assert displayed_tasks(run.state, run.game.net)["tasks"][0]["trouble"] == (
+        "a is lost: submit the task again, or cancel it"
+    )
+    run.feed(log_entries.CancelTask("o1"))
+    assert run.state.robots["a"].task is None and ended(run) == [("o1", "cancelled")]
+
+
+def test_tasks_of_higher_priority_come_first() -> None:
+    run = shop(idle=False)
+    run.feed(submit("o1"), submit("o2", 1), submit("o3"), submit("o4"), submit("o5", 2))
+    assert waiting(run) == ["o2", "o1", "o3"]
+    assert [task.id for _, task in run.state.submitted] == ["o5", "o4"]
+    run.feed(log_entries.PrioritiseTask("o3", 1), log_entries.PrioritiseTask("o4", 3))
+    assert waiting(run) == ["o2", "o3", "o1"]  # behind those that had it before
+    assert run.done("a") == ["take", "order"]
+    assert run.state.robots["a"].task.id == "o2"
+    assert waiting(run) == ["o4", "o3", "o1"]
+    # a task that returns goes before others of its priority, and behind those of a higher one
+    run.feed(log_entries.PrioritiseTask("o2", 1), log_entries.SetPlace("a", "Idle"))
+    assert waiting(run) == ["o4", "o2", "o3", "o1"]
+
+
+def test_a_team_says_where_its_tasks_are() -> None:
+    run = shop(robots=2)
+    run.feed(submit("o1")._replace(since=5), submit("o2"), submit("o3"))
+    run.done("a", "delivered")
+    told = displayed_tasks(run.state, run.game.net)
+    assert [(t["id"], t["where"], t["attempts"]) for t in told["tasks"]] == [
+        ("o3", "with a", 1),
+        ("o2", "with b", 1),
+    ]
+    assert told["ended"] == [{"id": "o1", "outcome": "done", "why": "delivered with a"}]
+    assert lines(told)[1].split() == ["o3", "with", "a", "in", "Deliver", "0", "1"]
+    assert lines(told)[-1] == "o1: done (delivered with a)"
+    run.feed(log_entries.CancelTask("o2"), log_entries.CancelTask("o3"))
+    assert "the team has no task" in lines(displayed_tasks(run.state, run.game.net))
+    again = TeamState.from_json(run.state.to_json(run.game.net), run.game.net, run.game.queues)
+    assert again == run.state
+
+
+def test_a_plan_says_only_what_a_robot_can_do() -> None:
+    for on_cancel, why in (
+        ({"Orders": None}, "holds no robots"),
+        ({"Deliver": "take"}, "'take' does not leave 'Deliver'"),
+        ({"Deliver": "refused"}, "puts a token into the queue 'Orders'"),
+        ({"Nowhere": None}, "Nowhere"),
+    ):
+        with pytest.raises(PlanError, match=why):
+            plan_of(shop_net(), on_cancel=on_cancel)
+
+
+def test_the_hash_of_a_plan_has_what_it_says() -> None:
+    one, other = (plan_of(net_with_way_out(), on_cancel=c) for c in ({}, {"Deliver": None}))
+    assert one.hash() != other.hash()
+
+
+@pytest.mark.parametrize("priority", [10**7, -(10**7)])
+def test_a_priority_has_bounds(priority: int) -> None:
+    with pytest.raises(DataError, match="between"):
+        log_entries.make_submit("order", "o1", {}, priority)
+    with pytest.raises(DataError, match="between"):
+        log_entries.make_prioritise("o1", priority)
+
+
+# -- in a team -------------------------------------------------------------------------------------
+
+
+def errands(partial: bool = False) -> Team:
+    return Team(agreement_plan(ERRANDS, 2, partial, 0.0, 0.0, False))
+
+
+def result(world: Team, robot: str, entry: log_entries.Entry) -> interface.OrderResult:
+    world.give(robot, interface.Order("asked", entry))
+    return world.nodes[robot].results.pop("asked")
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_an_operator_hears_what_became_of_a_task(partial: bool) -> None:
+    world = errands(partial)
+    for number in (1, 2):
+        world.submit("r1", number)
+    assert (
+        result(world, "r2", log_entries.PrioritiseTask("t2", 4)).text
+        == "priority 4: it is in orders"
+    )
+    world.done("r1", "look")
+    world.done("r1", "home")
+    given = result(world, "r2", log_entries.CancelTask("t2"))
+    assert given.ok and given.text == "it was cancelled (with r1 in Deliver)"
+    given = result(world, "r1", log_entries.CancelTask("t2"))
+    assert not given.ok
+    assert given.text == "the team has task 't2' no more: it was cancelled (with r1 in Deliver)"
+    assert result(world, "r1", log_entries.CancelTask("t9")).text == "the team has no task 't9'"
+    given = result(world, "r1", log_entries.Submit("order", "t2"))
+    assert given.text.endswith("is not taken again: it was cancelled (with r1 in Deliver)")
+    restart(world.nodes["r1"])
+    assert len(world.entries("cancel")) == 1
+    world.check()
