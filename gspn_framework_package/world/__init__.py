@@ -10,8 +10,10 @@
 ``driving_team``, ``patrol``, ``traffic``, ``referee``
     the world without ROS: driving robots, the patrol's actions, the rule of the plan, and a referee
     that watches.
-``node``, ``messages``, ``move_base``, ``base_client``, ``patrol_actions``
-    the world as a ROS node, and plan actions on it.
+``node``, ``robot_topics``, ``robot_urdf``, ``messages``, ``move_base``, ``gazebo_services``
+    the world as a ROS node.
+``base_client``, ``patrol_actions``
+    plan actions on it.
 ``camera``, ``recording``, ``film``, ``window``
     pictures of it.
 

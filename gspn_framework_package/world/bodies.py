@@ -58,6 +58,9 @@ BODY_BOTTOM = 0.012
 BODY_HEIGHT = 0.15
 """Height of a robot's body, in metres."""
 
+SCAN_HEIGHT = BODY_BOTTOM + BODY_HEIGHT - 0.02
+"""Height of the laser scanner's rays above the floor, in metres; they hit the bodies of robots."""
+
 _FLOOR_COLOR = (0.86, 0.88, 0.90, 1.0)
 _TOP = 0.172
 

@@ -7,7 +7,7 @@ class.
 from __future__ import annotations
 
 import random
-from typing import Dict, List, Optional, Sequence, Tuple
+from typing import Callable, Dict, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.world.avoidance import OtherRobot
 from gspn_framework_package.world.grid import Grid
@@ -29,7 +29,8 @@ class DrivingTeam:
     :param robots: their names.
     :param poses: their start poses, instead of ``room.spawn``.
     :param gui: open PyBullet's window.
-    :param seed: seed of the times at which people come.
+    :param seed: seed of the times at which people come, and of the odometry's errors.
+    :param drift: of the odometry, as :class:`.Physics` takes it.
 
     :ivar people: the people of the room, whether they are there or not.
     """
@@ -41,19 +42,24 @@ class DrivingTeam:
         poses: Optional[Sequence[Pose]] = None,
         gui: bool = False,
         seed: int = 0,
+        drift: float = 0.0,
     ) -> None:
         self.room = room
-        self.physics = Physics(room, robots, poses, gui)
+        self._seed = seed
+        self.physics = Physics(room, robots, poses, gui, drift, seed)
         self.grid = Grid(room)
         self.robots: Tuple[str, ...] = tuple(robots)
         self.navigators: Dict[str, Navigator] = {
             name: Navigator(self.grid, index) for index, name in enumerate(robots)
         }
-        self.people: Tuple[Walker, ...] = tuple(
-            Walker(person, room, random.Random("%d %d" % (seed, number)))
-            for number, person in enumerate(room.people)
-        )
+        self.people = self._walkers()
         self._teleop: Dict[str, Tuple[float, float, float]] = {}
+
+    def _walkers(self) -> Tuple[Walker, ...]:
+        return tuple(
+            Walker(person, self.room, random.Random("%d %d" % (self._seed, number)))
+            for number, person in enumerate(self.room.people)
+        )
 
     @property
     def time(self) -> float:
@@ -68,6 +74,8 @@ class DrivingTeam:
         :param turn_rate: counter-clockwise, radians per second.
         """
         self._teleop[robot] = (speed, turn_rate, self.time + 0.5)
+        if not self.navigators[robot].active:
+            self._drive(robot, self.physics.pose(robot), speed, turn_rate)
 
     def peers(self) -> List[OtherRobot]:
         """The current observations and announcements of all robots."""
@@ -81,9 +89,24 @@ class DrivingTeam:
             )
         return peers
 
-    def step(self) -> None:
+    def reset(self, time: bool) -> None:
+        """Put the robots where they started; their goals end.
+
+        :param time: set the time back to 0 too; people come as at the start.
+        """
+        self.physics.reset(time)
+        self._teleop.clear()
+        for navigator in self.navigators.values():
+            navigator.reset("the world was reset")
+        if time:
+            self.people = self._walkers()
+
+    def step(self, after: Callable[[], None] = lambda: None) -> None:
         """Advance by :data:`CONTROL_PERIOD`: a step of each person, one command for each robot,
-        then the physics."""
+        then the physics.
+
+        :param after: called after each step of the physics.
+        """
         peers = self.peers()
         poses = [peer.pose for peer in peers]
         for number, walker in enumerate(self.people):
@@ -96,12 +119,16 @@ class DrivingTeam:
                 command = navigator.step(Observation(self.time, me.pose, others), CONTROL_PERIOD)
             else:
                 command = self._by_hand(me.name)
-            speed, turn_rate = command
-            if halted(me.pose, speed, self.room.robot.radius, self.people):
-                speed = 0.0
-            self.physics.drive(me.name, speed, turn_rate)
+            self._drive(me.name, me.pose, *command)
         for _ in range(CONTROL_STEPS):
             self.physics.step()
+            after()
+
+    def _drive(self, robot: str, pose: Pose, speed: float, turn_rate: float) -> None:
+        """Command a robot's motors, but not to drive towards a person nearby."""
+        if halted(pose, speed, self.room.robot.radius, self.people):
+            speed = 0.0
+        self.physics.drive(robot, speed, turn_rate)
 
     def _by_hand(self, robot: str) -> Tuple[float, float]:
         speed, turn_rate, until = self._teleop.get(robot, (0.0, 0.0, -1.0))

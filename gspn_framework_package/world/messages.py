@@ -3,23 +3,37 @@
 from __future__ import annotations
 
 import math
-from typing import Any, List, Tuple
+from typing import Any, List, Sequence, Tuple
 
 import numpy as np
 import rospy
+from geometry_msgs.msg import Point as PointMessage
+from geometry_msgs.msg import Pose as PoseMessage
 from geometry_msgs.msg import (
-    Point,
+    PoseStamped,
     PoseWithCovarianceStamped,
     Quaternion,
     TransformStamped,
     Vector3,
 )
-from geometry_msgs.msg import Pose as PoseMessage
-from nav_msgs.msg import OccupancyGrid, Odometry
-from sensor_msgs.msg import LaserScan, Temperature
+from nav_msgs.msg import OccupancyGrid, Odometry, Path
+from sensor_msgs.msg import Imu, JointState, LaserScan, Temperature
 
+from gspn_framework_package.model.net import Point
 from gspn_framework_package.world.grid import RESOLUTION, Grid
 from gspn_framework_package.world.room import Pose, RobotType
+
+SCAN_PERIOD = 0.2
+"""Seconds between two revolutions of the laser scanner."""
+
+
+_UNKNOWN = 1e12
+ODOMETRY_COVARIANCE = [
+    value if row == column else 0.0
+    for row, value in enumerate((1e-5, 1e-5, _UNKNOWN, _UNKNOWN, _UNKNOWN, 1e-3))
+    for column in range(6)
+]
+"""The covariance that Gazebo's differential drive gives: x and y, and the yaw."""
 
 
 def stamp_of(seconds: float) -> rospy.Time:
@@ -34,7 +48,7 @@ def quaternion(yaw: float) -> Quaternion:
 
 def pose_message(pose: Pose) -> PoseMessage:
     """A pose on the floor."""
-    return PoseMessage(Point(pose.x, pose.y, 0.0), quaternion(pose.yaw))
+    return PoseMessage(PointMessage(pose.x, pose.y, 0.0), quaternion(pose.yaw))
 
 
 def pose_from(message: PoseMessage) -> Pose:
@@ -70,14 +84,17 @@ def odometry_message(
     message.pose.pose = pose_message(pose)
     message.twist.twist.linear.x = speed
     message.twist.twist.angular.z = turn_rate
+    message.pose.covariance = message.twist.covariance = ODOMETRY_COVARIANCE
     return message
 
 
-def transform(pose: Pose, stamp: rospy.Time, frame: str, child: str) -> TransformStamped:
-    """The pose of the frame ``child`` in ``frame``."""
+def transform(
+    pose: Pose, stamp: rospy.Time, frame: str, child: str, height: float = 0.0
+) -> TransformStamped:
+    """The pose of the frame ``child`` in ``frame``, ``height`` metres above it."""
     message = TransformStamped(child_frame_id=child)
     message.header.stamp, message.header.frame_id = stamp, frame
-    message.transform.translation = Vector3(pose.x, pose.y, 0.0)
+    message.transform.translation = Vector3(pose.x, pose.y, height)
     message.transform.rotation = quaternion(pose.yaw)
     return message
 
@@ -102,9 +119,49 @@ def scan_message(ranges: List[float], robot: RobotType, stamp: rospy.Time, frame
         angle_increment=step,
         range_min=robot.radius,
         range_max=robot.scan_range,
+        scan_time=SCAN_PERIOD,
         ranges=ranges,
     )
     message.header.stamp, message.header.frame_id = stamp, frame
+    return message
+
+
+def imu_message(
+    yaw: float, turn_rate: float, acceleration: Vector3, stamp: rospy.Time, frame: str
+) -> Imu:
+    """The reading of the inertial sensor; ``acceleration`` is in the frame of the robot."""
+    message = Imu(
+        orientation=quaternion(yaw),
+        angular_velocity=Vector3(0.0, 0.0, turn_rate),
+        linear_acceleration=acceleration,
+    )
+    message.header.stamp, message.header.frame_id = stamp, frame
+    return message
+
+
+def joint_message(
+    names: Sequence[str], wheels: Sequence[Tuple[float, float]], stamp: rospy.Time
+) -> JointState:
+    """The angle and speed of the wheels."""
+    message = JointState(
+        name=list(names),
+        position=[angle for angle, _ in wheels],
+        velocity=[speed for _, speed in wheels],
+    )
+    message.header.stamp = stamp
+    return message
+
+
+def path_message(points: Sequence[Point], end: Pose, stamp: rospy.Time, frame: str) -> Path:
+    """A path as poses that look along it; at its end the yaw is that of ``end``."""
+    message = Path()
+    message.header.stamp, message.header.frame_id = stamp, frame
+    for (x, y), (to_x, to_y) in zip(points, [*points[1:], *points[-1:]]):
+        message.poses.append(
+            PoseStamped(message.header, pose_message(Pose(x, y, math.atan2(to_y - y, to_x - x))))
+        )
+    if points:
+        message.poses[-1].pose.orientation = quaternion(end.yaw)
     return message
 
 

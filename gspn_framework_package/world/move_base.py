@@ -1,7 +1,8 @@
 """``move_base`` of a simulated robot: an action server in front of its navigator.
 
 It behaves like move_base (a new goal preempts the old one; blocked and unreachable goals are
-aborted with a reason), so that plan actions need not know whether the robot is real.
+aborted with a reason), so that plan actions need not know whether the robot is real. It has the
+topic for goals without an action client, and the services to plan a path and to plan anew.
 """
 
 from __future__ import annotations
@@ -10,11 +11,21 @@ import math
 from typing import Any, Callable, Optional
 
 import actionlib
+import numpy as np
+import rospy
 from geometry_msgs.msg import PoseStamped
-from move_base_msgs.msg import MoveBaseAction, MoveBaseFeedback
+from move_base_msgs.msg import MoveBaseAction, MoveBaseActionGoal, MoveBaseFeedback, MoveBaseGoal
+from nav_msgs.msg import Path
+from nav_msgs.srv import GetPlan
+from std_srvs.srv import Empty, EmptyResponse
 
 from gspn_framework_package.world.driving_team import DrivingTeam
-from gspn_framework_package.world.messages import pose_from, pose_message, stamp_of
+from gspn_framework_package.world.messages import (
+    path_message,
+    pose_from,
+    pose_message,
+    stamp_of,
+)
 from gspn_framework_package.world.navigation import NavigationStatus
 from gspn_framework_package.world.room import Pose
 
@@ -26,7 +37,7 @@ FEEDBACK_PERIOD = 0.5
 
 
 class MoveBase:
-    """Serves the action ``ROBOT/move_base`` (move_base_msgs/MoveBaseAction).
+    """Serves the action ``ROBOT/move_base`` (move_base_msgs/MoveBaseAction) and what belongs to it.
 
     ROS callbacks only pass goals and cancellations on to the thread that steps the world.
 
@@ -52,6 +63,16 @@ class MoveBase:
             auto_start=False,
         )
         self._server.start()
+        goals = rospy.Publisher("/%s/move_base/goal" % robot, MoveBaseActionGoal, queue_size=5)
+        rospy.Subscriber(
+            "/%s/move_base_simple/goal" % robot,
+            PoseStamped,
+            lambda pose: goals.publish(MoveBaseActionGoal(goal=MoveBaseGoal(pose))),
+            queue_size=5,
+        )
+        rospy.Service("/%s/move_base/make_plan" % robot, GetPlan, self._make_plan)
+        rospy.Service("/%s/move_base/clear_costmaps" % robot, Empty, self._plan_anew)
+        self._hand_off = hand_off
 
     @property
     def target(self) -> Optional[Pose]:
@@ -59,12 +80,8 @@ class MoveBase:
         return self._target if self._current is not None else None
 
     def _take(self, handle: Any) -> None:
-        stamped = handle.get_goal().target_pose
-        frame = stamped.header.frame_id.lstrip("/")
         try:
-            goal = pose_from(stamped.pose)
-            if frame not in ("", MAP_FRAME):
-                raise ValueError("goals are in the frame '%s', not '%s'" % (MAP_FRAME, frame))
+            goal = _in_map(handle.get_goal().target_pose)
         except ValueError as error:
             handle.set_rejected(text=str(error))
             return
@@ -79,6 +96,32 @@ class MoveBase:
             self._navigator.cancel()
             self._current.set_canceled(text="cancelled")
             self._current = None
+
+    def _make_plan(self, request: Any) -> Path:
+        """The path between two poses among walls and obstacles, robots left out; without poses if
+        there is none. The start is the robot's own pose if it names no frame."""
+        try:
+            goal = _in_map(request.goal)
+            start = (
+                _in_map(request.start)
+                if request.start.header.frame_id
+                else self._team.physics.pose(self._robot)
+            )
+        except ValueError as error:
+            raise rospy.ServiceException(str(error)) from None
+        grid, end = self._team.grid, (goal.x, goal.y)
+        if not grid.free[grid.cell(end)]:
+            near = grid.cells_near(end, request.tolerance)
+            near = near[grid.free[near]]
+            if len(near):
+                cell = near[np.argmin(np.hypot(grid.xs[near] - goal.x, grid.ys[near] - goal.y))]
+                end = (float(grid.xs[cell]), float(grid.ys[cell]))
+        points = grid.field(end).path((start.x, start.y))
+        return path_message(points, goal, stamp_of(self._team.time), MAP_FRAME)
+
+    def _plan_anew(self, _request: Any) -> EmptyResponse:
+        self._hand_off(self._navigator.plan_anew)
+        return EmptyResponse()
 
     def update(self) -> None:
         """Report the robot's progress to the client; call this after each step of the world."""
@@ -99,3 +142,12 @@ class MoveBase:
             handle.set_succeeded(text="reached")
         else:
             handle.set_aborted(text=self._navigator.reason)
+
+
+def _in_map(stamped: PoseStamped) -> Pose:
+    """The pose of a message. :raises ValueError: it is not a pose in the frame of the map."""
+    frame = stamped.header.frame_id.lstrip("/")
+    pose = pose_from(stamped.pose)
+    if frame not in ("", MAP_FRAME):
+        raise ValueError("goals are in the frame '%s', not '%s'" % (MAP_FRAME, frame))
+    return pose

@@ -156,6 +156,17 @@ class Navigator:
         self.status = NavigationStatus.IDLE
         self._rest()
 
+    def reset(self, reason: str) -> None:
+        """Give up the goal, if there is one, and forget where other robots stood."""
+        if self.active:
+            self._end(NavigationStatus.FAILED, reason)
+        self._last_moved.clear()
+        self.plan_anew()
+
+    def plan_anew(self) -> None:
+        """Search for the path again in the next step."""
+        self._field, self._field_key, self._field_time = None, (), -math.inf
+
     def _rest(self) -> None:
         self.path = ()
         self.rank = (math.inf, float(self._index))

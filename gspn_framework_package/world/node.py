@@ -5,10 +5,12 @@ navigation.
 
 Private parameters: ``room`` (file), ``robots`` (a number N, for robot_1 to robot_N, or names
 separated by commas), ``real_time_factor`` (1 is real time, 0 as fast as possible), ``gui``,
-``seed`` (of the times at which people come), ``duration`` (seconds of world time, 0 for no limit),
+``seed`` (of the times at which people come, and of the sensors' errors), ``duration`` (seconds of
+world time, 0 for no limit),
 ``record`` (file to record the run in, for ``gspn film``), ``navigation`` and ``localisation``
 (true, or false: ``move_base``, or ``amcl_pose`` and where the odometry is in the map, come from
-nodes of the user).
+nodes of the user), ``scan_noise`` (metres), ``odom_drift`` (a part of a wheel's circumference),
+``clock_rate`` (100).
 """
 
 from __future__ import annotations
@@ -16,14 +18,14 @@ from __future__ import annotations
 import json
 import queue
 import sys
+import threading
 import time
 from typing import Any, Callable, Dict, List, Optional
 
 import rospy
-from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
-from nav_msgs.msg import OccupancyGrid, Odometry
+from nav_msgs.msg import MapMetaData, OccupancyGrid
+from nav_msgs.srv import GetMap, GetMapResponse
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import LaserScan, Temperature
 from std_msgs.msg import Bool, String
 from tf2_msgs.msg import TFMessage
 
@@ -31,131 +33,72 @@ from gspn_framework_package.formats.source import read_text
 from gspn_framework_package.model.errors import GspnError, InputError
 from gspn_framework_package.ros.options import launched_file
 from gspn_framework_package.world import messages
-from gspn_framework_package.world.driving_team import CONTROL_PERIOD, DrivingTeam
-from gspn_framework_package.world.move_base import MAP_FRAME, MoveBase
+from gspn_framework_package.world.driving_team import DrivingTeam
+from gspn_framework_package.world.gazebo_services import GazeboServices
+from gspn_framework_package.world.move_base import MAP_FRAME
 from gspn_framework_package.world.parameters import number_parameter, robot_names
+from gspn_framework_package.world.physics import TIME_STEP
 from gspn_framework_package.world.recording import Recorder
 from gspn_framework_package.world.referee import Referee
+from gspn_framework_package.world.robot_topics import MESSAGE_STEPS, RobotTopics, Sensing
 from gspn_framework_package.world.room import Room
 from gspn_framework_package.world.room_file import load_room
 
 STATE_PERIOD = 0.1
 """Seconds of wall time between two messages on ``/world/state``."""
 
-SCAN_EVERY = 2
-"""Control periods between two scans."""
+PAUSED_PERIOD = 0.01
+"""Seconds of wall time between two looks for orders while the world is paused."""
 
-
-class _Robot:
-    """The ROS side of one robot.
-
-    :param navigation: serve ``move_base``.
-    :param localisation: publish ``amcl_pose``, and where the odometry is in the map.
-
-    :ivar base: its ``move_base``, if it has one.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        team: DrivingTeam,
-        hand_off: Callable[[Callable[[], None]], None],
-        navigation: bool,
-        localisation: bool,
-    ) -> None:
-        self.name = name
-        self._team = team
-        self.base = MoveBase(name, team, hand_off) if navigation else None
-        self._odometry = self._publisher("odom", Odometry)
-        self._pose = (
-            self._publisher("amcl_pose", PoseWithCovarianceStamped, latch=True)
-            if localisation
-            else None
-        )
-        self._temperature = self._publisher("temperature", Temperature)
-        self._scan = self._publisher("scan", LaserScan)
-        rospy.Subscriber(
-            "/%s/cmd_vel" % name,
-            Twist,
-            lambda twist: hand_off(lambda: team.teleoperate(name, twist.linear.x, twist.angular.z)),
-            queue_size=5,
-        )
-
-    def _publisher(self, topic: str, kind: Any, latch: bool = False) -> Any:
-        return rospy.Publisher("/%s/%s" % (self.name, topic), kind, queue_size=5, latch=latch)
-
-    def publish(self, stamp: rospy.Time, scan: bool) -> List[Any]:
-        """Publish the robot's sensor data; return the transforms of its frames."""
-        physics, name = self._team.physics, self.name
-        pose, odometry = physics.pose(name), physics.odometry(name)
-        odom, base = name + "/odom", name + "/base_footprint"
-        self._odometry.publish(messages.odometry_message(odometry, stamp, odom, base))
-        self._temperature.publish(
-            messages.temperature_message(physics.temperature(name), stamp, base)
-        )
-        if scan and self._scan.get_num_connections():
-            self._scan.publish(
-                messages.scan_message(physics.scan(name), self._team.room.robot, stamp, base)
-            )
-        transforms = [messages.transform(odometry[0], stamp, odom, base)]
-        if self._pose is not None:
-            self._pose.publish(messages.stamped_pose(pose, stamp, MAP_FRAME))
-            moved = messages.correction(pose, odometry[0])
-            transforms.append(messages.transform(moved, stamp, MAP_FRAME, odom))
-        return transforms
-
-    def state(self) -> Dict[str, Any]:
-        """The state of the robot for the page."""
-        pose = self._team.physics.pose(self.name)
-        navigator = self._team.navigators[self.name]
-        goal = self.base.target if self.base is not None else None
-        return {
-            "pose": [round(pose.x, 3), round(pose.y, 3), round(pose.yaw, 3)],
-            "goal": [round(goal.x, 3), round(goal.y, 3), round(goal.yaw, 3)] if goal else None,
-            "path": [[round(x, 2), round(y, 2)] for x, y in navigator.path],
-            "status": navigator.status.value,
-            "reason": navigator.reason,
-            "temperature": round(self._team.physics.temperature(self.name), 2),
-        }
+CLOCK_RATE = 100.0
+"""Messages on ``/clock`` in a second, unless it is asked for another rate."""
 
 
 class WorldNode:
     """Steps the world and connects it to ROS; see the module.
 
     :param robots: names of the robots, which are also their namespaces.
+    :param sensing: what the robots publish; its seed is also that of the times at which people
+        come.
     :param real_time_factor: seconds of world time per second of wall time; 0 for as fast as
         possible.
     :param gui: open PyBullet's window.
-    :param seed: seed of the times at which people come.
-    :param navigation: serve ``move_base`` for every robot.
-    :param localisation: publish ``amcl_pose`` for every robot, and where its odometry is in the
-        map.
+    :param clock_rate: messages on ``/clock`` in a second of world time. A world that is faster than
+        real time sends fewer, but one before all others of a step.
     """
 
     def __init__(
         self,
         room: Room,
         robots: List[str],
+        sensing: Sensing,
         real_time_factor: float = 1.0,
         gui: bool = False,
-        seed: int = 0,
-        navigation: bool = True,
-        localisation: bool = True,
+        clock_rate: float = CLOCK_RATE,
     ) -> None:
         self._factor = real_time_factor
-        self.team = DrivingTeam(room, robots, gui=gui, seed=seed)
+        self._clock_rate = clock_rate
+        self.team = DrivingTeam(room, robots, gui=gui, seed=sensing.seed, drift=sensing.odom_drift)
         self.referee = Referee(self.team)
         self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._clock = rospy.Publisher("/clock", Clock, queue_size=1)
         self._tf = rospy.Publisher("/tf", TFMessage, queue_size=5)
+        self._tf_static = rospy.Publisher("/tf_static", TFMessage, queue_size=1, latch=True)
         self._map = rospy.Publisher("/map", OccupancyGrid, queue_size=1, latch=True)
+        self._metadata = rospy.Publisher("/map_metadata", MapMetaData, queue_size=1, latch=True)
         self._room = rospy.Publisher("/world/room", String, queue_size=1, latch=True)
         self._state = rospy.Publisher("/world/state", String, queue_size=2)
         self._report = rospy.Publisher("/world/referee", String, queue_size=1, latch=True)
-        self._robots = [
-            _Robot(name, self.team, self._inbox.put, navigation, localisation) for name in robots
-        ]
-        self._map.publish(messages.map_message(self.team.grid, MAP_FRAME))
+        self._robots = [RobotTopics(name, self.team, self._inbox.put, sensing) for name in robots]
+        self._gazebo = GazeboServices(self._in_world, self._reset)
+        grid = messages.map_message(self.team.grid, MAP_FRAME)
+        self._map.publish(grid)
+        self._metadata.publish(grid.info)
+        rospy.Service("/static_map", GetMap, lambda _request: GetMapResponse(grid))
+        start = messages.stamp_of(self.team.time)
+        self._tf_static.publish(
+            TFMessage([frame for robot in self._robots for frame in robot.fixed_frames(start)])
+        )
         self._room.publish(json.dumps(room.as_json()))
         self._somebody = False
         self._person: Any = None
@@ -164,31 +107,50 @@ class WorldNode:
             self._person.publish(Bool(False))
         self.recorder: Optional[Recorder] = None
         self._steps = 0
+        self._due = time.monotonic()
+        self._clock_number, self._clock_time = -1, 0.0
         self._reported = 0.0
         self._state_time = 0.0
         self.real_time_factor = 0.0
 
-    def step(self) -> None:
-        """Run what the ROS threads handed off, advance one control period, and publish changes."""
+    def _in_world(self, order: Callable[[], None]) -> None:
+        """Run a function in the thread that steps the world, and wait until it has run."""
+        done = threading.Event()
+
+        def run() -> None:
+            order()
+            done.set()
+
+        self._inbox.put(run)
+        while not done.wait(1.0):
+            if rospy.is_shutdown():
+                raise rospy.ServiceException("the world has ended")
+
+    def _reset(self, time_too: bool) -> None:
+        self.team.reset(time_too)
+        if time_too:
+            self.referee = Referee(self.team)
+            self._steps = 0
+
+    def _run_orders(self) -> None:
+        """Run what the ROS threads handed off."""
         while True:
             try:
                 self._inbox.get_nowait()()
             except queue.Empty:
-                break
-        self.team.step()
+                return
+
+    def step(self) -> None:
+        """Advance one control period, and publish changes."""
+        self._run_orders()
+        self.team.step(self._publish)
         self.referee.watch()
         self._report_people()
         if self.recorder is not None:
             self.recorder.record()
-        self._steps += 1
-        stamp = messages.stamp_of(self.team.time)
-        self._clock.publish(Clock(stamp))
-        transforms: List[Any] = []
         for robot in self._robots:
             if robot.base is not None:
                 robot.base.update()
-            transforms += robot.publish(stamp, self._steps % SCAN_EVERY == 0)
-        self._tf.publish(TFMessage(transforms))
         wall = time.monotonic()
         if wall - self._state_time >= STATE_PERIOD:
             self._state_time = wall
@@ -196,6 +158,39 @@ class WorldNode:
         if wall - self._reported >= 1.0:
             self._reported = wall
             self._report.publish(json.dumps(self.referee.report()))
+
+    def _publish(self) -> None:
+        """Wait until a step of the physics is due in wall time, and publish what belongs to it."""
+        self._wait()
+        self._steps += 1
+        stamp = messages.stamp_of(self.team.time)
+        speaks = self._steps % MESSAGE_STEPS == 0
+        self._publish_clock(stamp, speaks)
+        if not speaks:
+            return
+        transforms: List[Any] = []
+        for robot in self._robots:
+            transforms += robot.publish(stamp, self._steps)
+        self._tf.publish(TFMessage(transforms))
+        self._run_orders()
+
+    def _wait(self) -> None:
+        if self._factor <= 0.0:
+            return
+        self._due += TIME_STEP / self._factor
+        wall = time.monotonic()
+        if self._due > wall:
+            time.sleep(self._due - wall)
+        elif wall - self._due > 0.5:
+            # too slow for the requested factor; do not try to catch up later
+            self._due = wall
+
+    def _publish_clock(self, stamp: rospy.Time, needed: bool) -> None:
+        number, wall = int(self.team.time * self._clock_rate), time.monotonic()
+        often = wall - self._clock_time < 0.5 / CLOCK_RATE
+        if needed or number != self._clock_number and not often:
+            self._clock_number, self._clock_time = number, wall
+            self._clock.publish(Clock(stamp))
 
     def _report_people(self) -> None:
         """Publish whether anybody is in the room when that changes."""
@@ -230,21 +225,19 @@ class WorldNode:
     def spin(self, duration: float = 0.0) -> None:
         """Step until shutdown, or for ``duration`` seconds of world time."""
         self._clock.publish(Clock(messages.stamp_of(self.team.time)))
-        due = time.monotonic()
-        window, window_time = due, self.team.time
+        self._due = time.monotonic()
+        window, window_time = self._due, self.team.time
         while not rospy.is_shutdown() and (duration <= 0.0 or self.team.time < duration):
+            if self._gazebo.paused:
+                self._run_orders()
+                time.sleep(PAUSED_PERIOD)
+                self._due = time.monotonic()
+                continue
             self.step()
             wall = time.monotonic()
             if wall - window >= 1.0:
                 self.real_time_factor = (self.team.time - window_time) / (wall - window)
                 window, window_time = wall, self.team.time
-            if self._factor > 0.0:
-                due += CONTROL_PERIOD / self._factor
-                if due > wall:
-                    time.sleep(due - wall)
-                elif wall - due > 0.5:
-                    # too slow for the requested factor; do not try to catch up later
-                    due = wall
         self._report.publish(json.dumps(self.referee.report()))
 
 
@@ -269,11 +262,18 @@ def main() -> int:
             number_parameter("real_time_factor", 1.0),
             number_parameter("duration", 0.0),
         )
-        gui, seed = bool(rospy.get_param("~gui", False)), int(number_parameter("seed", 0))
-        navigation, localisation = (
-            bool(rospy.get_param("~" + part, True)) for part in ("navigation", "localisation")
+        sensing = Sensing(
+            navigation=bool(rospy.get_param("~navigation", True)),
+            localisation=bool(rospy.get_param("~localisation", True)),
+            scan_noise=number_parameter("scan_noise", 0.0),
+            odom_drift=number_parameter("odom_drift", 0.0),
+            seed=int(number_parameter("seed", 0)),
         )
-        node = WorldNode(room, robots, factor, gui, seed, navigation, localisation)
+        gui, clock_rate = (
+            bool(rospy.get_param("~gui", False)),
+            number_parameter("clock_rate", CLOCK_RATE),
+        )
+        node = WorldNode(room, robots, sensing, factor, gui, clock_rate)
         speed = "%g times real time" % factor if factor else "as fast as possible"
         rospy.loginfo("world: '%s' with %d robots, %s", room.name, len(robots), speed)
         recording = str(rospy.get_param("~record", ""))

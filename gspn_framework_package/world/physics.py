@@ -1,22 +1,25 @@
 """The room and its robots as PyBullet bodies: wheels, motors, contacts, a laser scanner, encoders.
 
-Robots are differential-drive discs of TurtleBot3 Burger's size. They move because their wheels turn
-on the floor; a simulation never sets their pose after the start (but it does set that of people).
+Robots are differential-drive discs of a TurtleBot3's size. They move because their wheels turn on
+the floor. A simulation sets their pose only at the start, when it is reset, and when they are
+carried away; it does set that of people.
 The time step is fixed, and the caller decides how fast to step.
 """
 
 from __future__ import annotations
 
 import math
+import random
 from dataclasses import dataclass, field
 from typing import Any, Dict, List, Optional, Sequence, Set, Tuple
+
+import numpy as np
 
 from gspn_framework_package.model.net import Point
 from gspn_framework_package.model.robot_colours import colour_of
 from gspn_framework_package.world.bodies import (
     AWAY,
-    BODY_BOTTOM,
-    BODY_HEIGHT,
+    SCAN_HEIGHT,
     connect_bullet,
     make_floor,
     make_person,
@@ -64,6 +67,7 @@ class _Body:
     driven: bool = False
     rests: bool = True
     wheels: Tuple[float, float] = (0.0, 0.0)
+    measures: Tuple[float, float] = (1.0, 1.0)
     odometry: Pose = Pose(0.0, 0.0, 0.0)
 
 
@@ -73,6 +77,9 @@ class Physics:
     :param robots: names of the robots, in the order of ``room.spawn``.
     :param poses: their start poses, instead of ``room.spawn``.
     :param gui: open PyBullet's window.
+    :param drift: standard deviation of the error with which the odometry knows the circumference of
+        each wheel, as a part of it.
+    :param seed: of these errors.
     :raises ValueError: there are fewer start poses than robots.
     """
 
@@ -82,12 +89,15 @@ class Physics:
         robots: Sequence[str],
         poses: Optional[Sequence[Pose]] = None,
         gui: bool = False,
+        drift: float = 0.0,
+        seed: int = 0,
     ) -> None:
         starts = list(poses if poses is not None else room.spawn)
         if len(starts) < len(robots):
             raise ValueError("%d robots, but %d start poses" % (len(robots), len(starts)))
         self.room = room
         self.robots: Tuple[str, ...] = tuple(robots)
+        self._starts = starts
         self.contacts = Contacts()
         self._steps = 0
         self._touching: Set[Tuple[str, str]] = set()
@@ -103,7 +113,9 @@ class Physics:
         self._bodies: Dict[str, _Body] = {}
         for name, pose in zip(robots, starts):
             unique_id = make_robot(self._client, room.robot, pose, colour_of(name))
-            self._bodies[name] = _Body(unique_id, odometry=pose)
+            errors = random.Random("drift %d %s" % (seed, name))
+            measures = (1.0 + errors.gauss(0.0, drift), 1.0 + errors.gauss(0.0, drift))
+            self._bodies[name] = _Body(unique_id, odometry=pose, measures=measures)
         self._names = {body.unique_id: name for name, body in self._bodies.items()}
         if gui:
             set_up_window(
@@ -154,11 +166,32 @@ class Physics:
             client.changeDynamics(body.unique_id, -1, activationState=mode)
 
     def show(self, robot: str, pose: Pose) -> None:
-        """Place a robot at a pose, for pictures of a recorded run; a simulation never does this."""
+        """Place a robot at a pose, for pictures of a recorded run."""
         body = self._bodies[robot].unique_id
         height = self._client.getBasePositionAndOrientation(body)[0][2]
         turned = self._client.getQuaternionFromEuler([0, 0, pose.yaw])
         self._client.resetBasePositionAndOrientation(body, [pose.x, pose.y, height], turned)
+
+    def carry(self, robot: str, pose: Pose) -> None:
+        """Lift a robot and put it down at a pose, where it stands; its wheels do not turn."""
+        body = self._bodies[robot]
+        self.show(robot, pose)
+        self._client.resetBaseVelocity(body.unique_id, [0, 0, 0], [0, 0, 0])
+        body.speed = body.turn_rate = 0.0
+        body.driven = False
+
+    def reset(self, time: bool) -> None:
+        """Put the robots where they started, at rest, with the odometry of the start.
+
+        :param time: set the time back to 0, and forget the contacts.
+        """
+        for (name, body), pose in zip(self._bodies.items(), self._starts):
+            self.carry(name, pose)
+            self.drive(name, 0.0, 0.0)
+            body.odometry = pose
+        if time:
+            self._steps = 0
+            self.contacts = Contacts()
 
     def place_person(self, number: int, at: Optional[Point]) -> None:
         """Move a person of the room to a point; None to remove the person."""
@@ -217,8 +250,10 @@ class Physics:
     def _read_encoders(self, body: _Body) -> None:
         kind = self.room.robot
         angles = self._wheel_angles(body)
-        left = (angles[0] - body.wheels[0]) * kind.wheel_radius
-        right = (angles[1] - body.wheels[1]) * kind.wheel_radius
+        left, right = (
+            (angle - before) * kind.wheel_radius * measure
+            for angle, before, measure in zip(angles, body.wheels, body.measures)
+        )
         body.wheels = angles
         turn = (right - left) / kind.wheel_separation
         heading = body.odometry.yaw + turn / 2
@@ -281,6 +316,12 @@ class Physics:
         body = self._bodies[robot]
         return (body.odometry, body.speed, body.turn_rate)
 
+    def wheels(self, robot: str) -> List[Tuple[float, float]]:
+        """The angle in radians and the speed in radians per second of the left wheel and the right
+        wheel."""
+        states = self._client.getJointStates(self._bodies[robot].unique_id, [0, 1])
+        return [(state[0], state[1]) for state in states]
+
     def temperature(self, robot: str) -> float:
         """The reading of the robot's thermometer, in degrees Celsius."""
         pose = self.pose(robot)
@@ -295,15 +336,11 @@ class Physics:
         kind, pose = self.room.robot, self.pose(robot)
         # rays start outside the robot's own body
         start = kind.radius + 0.005
-        directions = [pose.yaw + math.tau * i / kind.scan_rays for i in range(kind.scan_rays)]
-        height = BODY_BOTTOM + BODY_HEIGHT - 0.02
-        cosines = [(math.cos(a), math.sin(a)) for a in directions]
+        directions = pose.yaw + np.arange(kind.scan_rays) * (math.tau / kind.scan_rays)
+        away = np.stack([np.cos(directions), np.sin(directions), np.zeros(kind.scan_rays)], axis=1)
+        centre = np.array([pose.x, pose.y, SCAN_HEIGHT])
         hits = self._client.rayTestBatch(
-            [[pose.x + c * start, pose.y + s * start, height] for c, s in cosines],
-            [
-                [pose.x + c * kind.scan_range, pose.y + s * kind.scan_range, height]
-                for c, s in cosines
-            ],
+            (centre + start * away).tolist(), (centre + kind.scan_range * away).tolist()
         )
         span = kind.scan_range - start
         return [start + hit[2] * span if hit[0] >= 0 else math.inf for hit in hits]

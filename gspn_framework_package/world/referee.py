@@ -118,7 +118,8 @@ class Referee:
         for robot, track in self._tracks.items():
             tally, pose = self.tallies[robot], team.physics.pose(robot)
             moved = pose.distance(track.pose)
-            tally.distance += moved if moved > 1e-4 else 0.0
+            driven = 2 * team.room.robot.max_speed * (time - self._watched)
+            tally.distance += moved if 1e-4 < moved < driven else 0.0  # else it was carried
             track.pose = pose
             self._watch_goal(robot, track, tally, time)
             for walker in team.people:

@@ -213,8 +213,18 @@ class RobotType:
     wheel_radius: float = 0.033
     wheel_separation: float = 0.16
     mass: float = 1.0
-    scan_rays: int = 120
+    scan_rays: int = 360
     scan_range: float = 3.5
+
+
+ROBOT_TYPES: Mapping[str, RobotType] = {
+    "burger": RobotType(),
+    # the disc of the robot_radius in the navigation files of ROBOTIS
+    "waffle": RobotType(
+        radius=0.22, max_speed=0.26, max_turn_rate=1.82, wheel_separation=0.287, mass=1.8
+    ),
+}
+"""The types of TurtleBot3 that a room file can name."""
 
 
 @dataclass(frozen=True)

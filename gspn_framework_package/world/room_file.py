@@ -7,6 +7,7 @@ plans/patrol/critical_room.yaml.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Union
 
@@ -17,6 +18,7 @@ from gspn_framework_package.formats.yaml_file import YamlDocument, path_text
 from gspn_framework_package.model.errors import InputError, closest
 from gspn_framework_package.model.net import Point
 from gspn_framework_package.world.room import (
+    ROBOT_TYPES,
     Area,
     Box,
     Cylinder,
@@ -115,6 +117,7 @@ ROOM_SCHEMA: Dict[str, Any] = _record(
     },
     robot=_record(
         [],
+        model={"enum": list(ROBOT_TYPES)},
         scan_rays={"type": "integer", "minimum": 1, "maximum": 10_000},
         **{name: _POSITIVE for name in RobotType.__dataclass_fields__ if name != "scan_rays"},
     ),
@@ -245,6 +248,7 @@ def _build(data: Mapping[str, Any]) -> Room:
         for name, entry in data.get("locations", {}).items()
     }
     heat = data.get("temperature", {})
+    robot = dict(data.get("robot", {}))
     return Room(
         name=data["name"],
         walls=tuple(tuple(_point(point) for point in line) for line in data["walls"]),
@@ -260,7 +264,7 @@ def _build(data: Mapping[str, Any]) -> Room:
                 for entry in heat.get("hot_spots", [])
             ),
         ),
-        robot=RobotType(**data.get("robot", {})),
+        robot=replace(ROBOT_TYPES[robot.pop("model", "burger")], **robot),
         people=tuple(
             Person(**{**entry, "path": tuple(_point(point) for point in entry["path"])})
             for entry in data.get("people", [])

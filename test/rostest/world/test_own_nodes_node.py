@@ -1,32 +1,193 @@
 #!/usr/bin/env python3
 """A robot of the world as Gazebo has it: no move_base and no amcl but those of the user, and the
-topics and frames that they need."""
+topics, frames and services that a TurtleBot3 in Gazebo has for them."""
 
+import math
+import os
 import sys
+import threading
+import time
 import unittest
+import xml.etree.ElementTree as ElementTree
 
 import rosgraph
 import rospy
 import rostest
+import yaml
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import OccupancyGrid, Odometry
+from nav_msgs.srv import GetMap
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Imu, JointState, LaserScan
+from std_srvs.srv import Empty
 from tf2_msgs.msg import TFMessage
+
+DEADLINE = 60.0 * float(os.environ.get("GSPN_PATIENCE", "1"))
+"""Seconds of wall time; far more than any test here needs."""
+
+
+class Heard:
+    """The messages of a topic, from the time at which it is made."""
+
+    def __init__(self, topic, kind):
+        self.messages = []
+        self._news = threading.Condition()
+        self._subscriber = rospy.Subscriber(topic, kind, self._heard, queue_size=100)
+
+    def _heard(self, message):
+        with self._news:
+            self.messages.append(message)
+            self._news.notify_all()
+
+    def wait(self, condition=lambda message: True):
+        """Wait until the last message satisfies a condition; return it."""
+        self._wait(lambda: self.messages and condition(self.messages[-1]))
+        return self.messages[-1]
+
+    def take(self, number):
+        """Wait for some messages in a row."""
+        self._wait(lambda: len(self.messages) >= number)
+        return self.messages[:number]
+
+    def _wait(self, condition):
+        end = time.monotonic() + DEADLINE
+        with self._news:
+            while not condition():
+                if not self._news.wait(end - time.monotonic()):
+                    raise AssertionError("not in time; last: %s" % self.messages[-1:])
+
+    def close(self):
+        self._subscriber.unregister()
+
+
+def seconds_apart(messages):
+    """The seconds of world time between each message and the next."""
+    stamps = [message.header.stamp.to_sec() for message in messages]
+    return [after - before for before, after in zip(stamps, stamps[1:])]
 
 
 class TestOwnNodes(unittest.TestCase):
-    def test_navigation_and_localisation_are_left_to_others(self):
+    @classmethod
+    def setUpClass(cls):
+        with open(rospy.get_param("/room"), encoding="utf-8") as file:
+            cls.start = yaml.safe_load(file)["spawn"][0]
+
+    def heard(self, topic, kind):
+        heard = Heard(topic, kind)
+        self.addCleanup(heard.close)
+        return heard
+
+    def call(self, service, kind):
+        rospy.wait_for_service(service, DEADLINE)
+        return rospy.ServiceProxy(service, kind)()
+
+    def is_at_start(self, message):
+        at, (x, y, _) = message.pose.pose.position, self.start
+        return math.hypot(at.x - x, at.y - y) < 0.01
+
+    def assert_rate(self, messages, rate):
+        for apart in seconds_apart(messages):
+            self.assertAlmostEqual(apart, 1.0 / rate, delta=1e-6)
+
+    def test_1_navigation_and_localisation_are_left_to_others(self):
         frames = set()
-
-        def heard(message):
+        for message in self.heard("/tf", TFMessage).take(5):
             frames.update((t.header.frame_id, t.child_frame_id) for t in message.transforms)
-
-        rospy.Subscriber("/tf", TFMessage, heard)
-        for _ in range(5):
-            rospy.wait_for_message("/tf", TFMessage, 60)
         self.assertEqual(frames, {("robot_1/odom", "robot_1/base_footprint")})
         published, subscribed, services = rosgraph.Master("/test").getSystemState()
         names = {name for name, _ in published + subscribed + services}
         theirs = {name for name in names if "move_base" in name or "amcl" in name}
-        self.assertEqual(theirs, set())
-        self.assertLessEqual({"/robot_1/odom", "/robot_1/scan", "/robot_1/cmd_vel"}, names)
+        self.assertEqual(theirs | (names & {"/robot_1/initialpose"}), set())
+
+    def test_2_the_sensors_have_the_rates_frames_and_errors_of_gazebo(self):
+        scans = self.heard("/robot_1/scan", LaserScan)
+        odometry = self.heard("/robot_1/odom", Odometry)
+        imu = self.heard("/robot_1/imu", Imu)
+        joints = self.heard("/robot_1/joint_states", JointState)
+        clock = self.heard("/clock", Clock)
+        first, second, third = scans.take(3)
+        self.assert_rate((first, second, third), 5)
+        self.assertEqual((len(first.ranges), first.header.frame_id), (360, "robot_1/base_scan"))
+        self.assertAlmostEqual(first.scan_time, 0.2, delta=1e-6)
+        apart = [abs(a - b) for a, b in zip(first.ranges, second.ranges) if math.isfinite(a - b)]
+        # it stands: the noise is all that differs, with sqrt(2) times its deviation
+        self.assertGreater(len(apart), 100)
+        self.assertTrue(0.003 < sum(apart) / len(apart) < 0.03, sum(apart) / len(apart))
+        self.assert_rate(odometry.take(10), 30)
+        (where,) = odometry.take(1)
+        self.assertEqual(
+            (where.header.frame_id, where.child_frame_id),
+            ("robot_1/odom", "robot_1/base_footprint"),
+        )
+        self.assertEqual((where.pose.covariance[0], where.pose.covariance[35]), (1e-5, 1e-3))
+        self.assert_rate(imu.take(10), 30)
+        self.assertEqual(imu.messages[0].header.frame_id, "robot_1/imu_link")
+        self.assertAlmostEqual(imu.messages[0].linear_acceleration.z, 9.81)
+        self.assert_rate(joints.take(10), 30)
+        self.assertEqual(joints.messages[0].name, ["wheel_left_joint", "wheel_right_joint"])
+        times = [message.clock.to_sec() for message in clock.take(20)]
+        self.assertEqual(times, sorted(times))
+        self.assertLess(max(b - a for a, b in zip(times, times[1:])), 0.034)
+
+    def test_3_robot_state_publisher_and_the_frames_agree(self):
+        frames = self.heard("/tf_static", TFMessage).wait().transforms
+        fixed = {t.child_frame_id: (t.header.frame_id, t.transform.translation.z) for t in frames}
+        robot = ElementTree.fromstring(rospy.get_param("/robot_1/robot_description"))
+        described = {
+            "robot_1/" + joint.find("child").get("link"): (
+                "robot_1/" + joint.find("parent").get("link"),
+                float(joint.find("origin").get("xyz").split()[2]),
+            )
+            for joint in robot.findall("joint")
+            if joint.get("type") == "fixed"
+        }
+        self.assertEqual(set(fixed), set(described))
+        self.assertEqual(
+            {frame: below for frame, (below, _) in fixed.items()},
+            {frame: below for frame, (below, _) in described.items()},
+        )
+        for frame, (_, height) in fixed.items():
+            self.assertAlmostEqual(height, described[frame][1], places=4)
+        self.assertIn("robot_1/base_scan", fixed)
+
+    def test_4_the_map_is_there_as_a_topic_and_as_a_service(self):
+        grid = self.heard("/map", OccupancyGrid).wait()
+        self.assertEqual(self.call("/static_map", GetMap).map.data, grid.data)
+
+    def test_5_a_node_of_the_user_drives(self):
+        odometry = self.heard("/robot_1/odom", Odometry)
+        odometry.wait(self.is_at_start)
+        wheel = self.heard("/robot_1/joint_states", JointState)
+        turned = wheel.wait().position[0]
+        hand = rospy.Publisher("/robot_1/cmd_vel", Twist, queue_size=1)
+        twist, end = Twist(), time.monotonic() + DEADLINE
+        twist.linear.x = 0.2
+        while wheel.messages[-1].position[0] < turned + 3.0:  # a tenth of a metre
+            self.assertLess(time.monotonic(), end)
+            hand.publish(twist)
+            time.sleep(0.01)
+        hand.publish(Twist())
+        odometry.wait(lambda message: message.twist.twist.linear.x == 0.0)
+        self.assertFalse(self.is_at_start(odometry.messages[-1]))
+
+    def test_6_the_world_stands_still_and_goes_on_and_back_as_in_gazebo(self):
+        odometry = self.heard("/robot_1/odom", Odometry)
+        odometry.wait()
+        # its answer comes from the thread that steps the world: after it there are only messages that
+        # were under way
+        self.call("/gazebo/pause_physics", Empty)
+        seen, paused = len(odometry.messages), rospy.get_rostime()
+        for _ in range(20):
+            self.call("/gazebo/pause_physics", Empty)
+        self.assertLessEqual(len(odometry.messages), seen + 3)
+        self.call("/gazebo/unpause_physics", Empty)
+        odometry.wait(lambda message: message.header.stamp > paused)
+
+        self.call("/gazebo/reset_world", Empty)
+        back = odometry.wait(self.is_at_start)
+        self.assertGreater(back.header.stamp, paused)
+        self.call("/gazebo/reset_simulation", Empty)
+        odometry.wait(lambda message: message.header.stamp < paused)
 
 
 if __name__ == "__main__":

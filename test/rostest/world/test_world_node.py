@@ -13,11 +13,13 @@ import actionlib
 import rospy
 import rostest
 from actionlib_msgs.msg import GoalStatus
-from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
-from move_base_msgs.msg import MoveBaseAction, MoveBaseGoal
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Twist
+from move_base_msgs.msg import MoveBaseAction, MoveBaseActionResult, MoveBaseGoal
 from nav_msgs.msg import OccupancyGrid, Odometry
+from nav_msgs.srv import GetPlan
 from sensor_msgs.msg import CompressedImage, LaserScan, Temperature
 from std_msgs.msg import String
+from std_srvs.srv import Empty
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -94,7 +96,7 @@ class TestWorld(unittest.TestCase):
         reading = Latest("/robot_3/temperature", Temperature).wait()
         self.assertAlmostEqual(reading.temperature, 21.0, delta=1.0)
         scan = Latest("/robot_3/scan", LaserScan).wait()
-        self.assertEqual(len(scan.ranges), 120)
+        self.assertEqual(len(scan.ranges), 360)
         self.assertTrue(all(scan.range_min <= r for r in scan.ranges))
         frames = Latest("/tf", TFMessage).wait()
         self.assertIn(
@@ -118,6 +120,36 @@ class TestWorld(unittest.TestCase):
         self.assertTrue(second.feedback)
         where = Latest("/robot_3/amcl_pose", PoseWithCovarianceStamped).wait().pose.pose.position
         self.assertLess(math.hypot(where.x - 0.55, where.y - 1.7), 0.12)
+
+    def test_2_a_goal_may_come_from_rviz_and_a_path_may_be_asked_for(self):
+        states = Latest("/robot_3/move_base/result", MoveBaseActionResult)
+        poses = rospy.Publisher("/robot_3/move_base_simple/goal", PoseStamped, queue_size=1)
+        goal = PoseStamped()
+        goal.header.frame_id = "map"
+        goal.pose.position.x, goal.pose.position.y, goal.pose.orientation.w = 0.55, 1.5, 1.0
+        end = time.monotonic() + DEADLINE
+        while not poses.get_num_connections():
+            self.assertLess(time.monotonic(), end)
+            time.sleep(0.01)
+        states.message = None
+        poses.publish(goal)
+        self.assertEqual(states.wait().status.text, "reached")
+
+        plan = rospy.ServiceProxy("/robot_3/move_base/make_plan", GetPlan)
+        start = PoseStamped()
+        goal.pose.position.x, goal.pose.position.y = 0.55, -1.5
+        path = plan(start, goal, 0.0).plan
+        self.assertEqual(path.header.frame_id, "map")
+        ends = [path.poses[n].pose.position for n in (0, -1)]
+        self.assertLess(math.hypot(ends[0].x - 0.55, ends[0].y - 1.5), 0.15)
+        self.assertEqual((ends[1].x, ends[1].y), (0.55, -1.5))
+        goal.pose.position.x = goal.pose.position.y = 0.0  # in a wall
+        self.assertEqual(plan(start, goal, 0.0).plan.poses, [])
+        self.assertTrue(plan(start, goal, 1.0).plan.poses)
+        goal.header.frame_id = "odom"
+        with self.assertRaisesRegex(rospy.ServiceException, "frame"):
+            plan(start, goal, 0.0)
+        rospy.ServiceProxy("/robot_3/move_base/clear_costmaps", Empty)()
 
     def test_3_goals_that_cannot_be_are_refused_or_aborted_with_a_reason(self):
         for goal, status, words in (

@@ -1,0 +1,186 @@
+"""The topics of one simulated robot, which are those of a TurtleBot3 in Gazebo, and more.
+
+``docs/world.md`` compares the two.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
+
+import numpy as np
+import rospy
+from geometry_msgs.msg import PoseWithCovarianceStamped, Twist, Vector3
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Imu, JointState, LaserScan, Temperature
+
+from gspn_framework_package.world import messages
+from gspn_framework_package.world.driving_team import CONTROL_STEPS, DrivingTeam
+from gspn_framework_package.world.move_base import MAP_FRAME, MoveBase
+from gspn_framework_package.world.physics import TIME_STEP
+from gspn_framework_package.world.robot_urdf import FIXED_FRAMES, WHEEL_JOINTS, robot_urdf
+from gspn_framework_package.world.room import Pose
+
+MESSAGE_STEPS = 4
+"""Physics steps between two messages of odometry: 30 a second."""
+
+SCAN_STEPS = round(messages.SCAN_PERIOD / TIME_STEP)
+"""Physics steps between two scans."""
+
+_GRAVITY = 9.81
+
+
+class Sensing(NamedTuple):
+    """What the robots publish, and how exactly.
+
+    :ivar navigation: serve ``move_base``.
+    :ivar localisation: publish ``amcl_pose``, and where the odometry is in the map.
+    :ivar scan_noise: standard deviation of the ranges of a scan, metres.
+    :ivar odom_drift: standard deviation of the error with which the odometry knows a wheel's
+        circumference, as a part of it.
+    :ivar seed: of both.
+    """
+
+    navigation: bool = True
+    localisation: bool = True
+    scan_noise: float = 0.0
+    odom_drift: float = 0.0
+    seed: int = 0
+
+
+class RobotTopics:
+    """The ROS side of one robot.
+
+    :param hand_off: called from ROS threads with a function to run in the world's thread.
+
+    :ivar base: its ``move_base``, if it has one.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        team: DrivingTeam,
+        hand_off: Callable[[Callable[[], None]], None],
+        sensing: Sensing,
+    ) -> None:
+        self.name = name
+        self._team = team
+        self._sensing = sensing
+        self.base = MoveBase(name, team, hand_off) if sensing.navigation else None
+        self._odometry = self._publisher("odom", Odometry)
+        self._imu = self._publisher("imu", Imu)
+        self._joints = self._publisher("joint_states", JointState)
+        self._temperature = self._publisher("temperature", Temperature)
+        self._scan = self._publisher("scan", LaserScan)
+        self._velocity: Tuple[float, float] = (0.0, 0.0)
+        self._pose: Any = None
+        if sensing.localisation:
+            self._pose = self._publisher("amcl_pose", PoseWithCovarianceStamped, latch=True)
+            self._subscribe("initialpose", PoseWithCovarianceStamped, self._compare_pose)
+        self._subscribe(
+            "cmd_vel",
+            Twist,
+            lambda twist: hand_off(lambda: team.teleoperate(name, twist.linear.x, twist.angular.z)),
+        )
+        description = "/%s/robot_description" % name
+        if not rospy.has_param(description):
+            rospy.set_param(description, robot_urdf(team.room.robot))
+            rospy.on_shutdown(lambda: rospy.delete_param(description))
+
+    def _publisher(self, topic: str, kind: Any, latch: bool = False) -> Any:
+        return rospy.Publisher("/%s/%s" % (self.name, topic), kind, queue_size=5, latch=latch)
+
+    def _subscribe(self, topic: str, kind: Any, heard: Callable[[Any], None]) -> None:
+        rospy.Subscriber("/%s/%s" % (self.name, topic), kind, heard, queue_size=5)
+
+    def _compare_pose(self, message: PoseWithCovarianceStamped) -> None:
+        """Say that localisation, which is exact, does not follow a wrong ``initialpose``."""
+        pose = self._team.physics.pose(self.name)
+        away = pose.distance((message.pose.pose.position.x, message.pose.pose.position.y))
+        if not away < self._team.room.robot.radius:
+            rospy.logwarn(
+                "world: the initialpose of %s is %.2f m away from it; amcl_pose is the true pose",
+                self.name,
+                away,
+            )
+
+    def fixed_frames(self, stamp: rospy.Time) -> List[Any]:
+        """The transforms of the frames on the robot."""
+        return [
+            messages.transform(
+                Pose(0.0, 0.0), stamp, self._frame(below), self._frame(frame), height
+            )
+            for frame, (below, height) in FIXED_FRAMES.items()
+        ]
+
+    def _frame(self, name: str) -> str:
+        return "%s/%s" % (self.name, name)
+
+    def publish(self, stamp: rospy.Time, step: int) -> List[Any]:
+        """Publish what the robot measures; return the transforms of its moving frames.
+
+        :param step: number of the physics step, a multiple of :data:`MESSAGE_STEPS`.
+        """
+        physics, name = self._team.physics, self.name
+        pose, odometry = physics.pose(name), physics.odometry(name)
+        odom, base = self._frame("odom"), self._frame("base_footprint")
+        if self._odometry.get_num_connections():
+            self._odometry.publish(messages.odometry_message(odometry, stamp, odom, base))
+        if self._joints.get_num_connections():
+            wheels = physics.wheels(name)
+            self._joints.publish(messages.joint_message(WHEEL_JOINTS, wheels, stamp))
+        if self._imu.get_num_connections():
+            self._publish_imu(pose, stamp)
+        if step % SCAN_STEPS == 0 and self._scan.get_num_connections():
+            ranges = self._noisy(physics.scan(name), step)
+            frame = self._frame("base_scan")
+            self._scan.publish(messages.scan_message(ranges, self._team.room.robot, stamp, frame))
+        if step % CONTROL_STEPS == 0:
+            self._temperature.publish(
+                messages.temperature_message(physics.temperature(name), stamp, base)
+            )
+        transforms = [messages.transform(odometry[0], stamp, odom, base)]
+        if self._pose is not None:
+            if step % CONTROL_STEPS == 0:
+                self._pose.publish(messages.stamped_pose(pose, stamp, MAP_FRAME))
+            moved = messages.correction(pose, odometry[0])
+            transforms.append(messages.transform(moved, stamp, MAP_FRAME, odom))
+        return transforms
+
+    def _publish_imu(self, pose: Pose, stamp: rospy.Time) -> None:
+        """Publish the turn rate, and the mean acceleration since the last message."""
+        x, y, turn_rate = self._team.physics.velocity(self.name)
+        seconds = MESSAGE_STEPS * TIME_STEP
+        ax, ay = (x - self._velocity[0]) / seconds, (y - self._velocity[1]) / seconds
+        self._velocity = (x, y)
+        cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
+        acceleration = Vector3(ax * cos + ay * sin, ay * cos - ax * sin, _GRAVITY)
+        self._imu.publish(
+            messages.imu_message(pose.yaw, turn_rate, acceleration, stamp, self._frame("imu_link"))
+        )
+
+    def _noisy(self, ranges: List[float], step: int) -> List[float]:
+        """The ranges with noise, which depends on the seed, the robot and the step alone."""
+        if self._sensing.scan_noise == 0.0:
+            return ranges
+        kind = self._team.room.robot
+        number = self._team.robots.index(self.name)
+        source = np.random.default_rng([self._sensing.seed, number, step])
+        noisy = np.array(ranges) + source.normal(0.0, self._sensing.scan_noise, len(ranges))
+        seen = np.isfinite(noisy)
+        noisy[seen] = np.clip(noisy[seen], kind.radius, kind.scan_range)
+        return [float(value) for value in noisy]
+
+    def state(self) -> Dict[str, Any]:
+        """The state of the robot for the page."""
+        pose = self._team.physics.pose(self.name)
+        navigator = self._team.navigators[self.name]
+        goal: Optional[Pose] = self.base.target if self.base is not None else None
+        return {
+            "pose": [round(pose.x, 3), round(pose.y, 3), round(pose.yaw, 3)],
+            "goal": [round(goal.x, 3), round(goal.y, 3), round(goal.yaw, 3)] if goal else None,
+            "path": [[round(x, 2), round(y, 2)] for x, y in navigator.path],
+            "status": navigator.status.value,
+            "reason": navigator.reason,
+            "temperature": round(self._team.physics.temperature(self.name), 2),
+        }
