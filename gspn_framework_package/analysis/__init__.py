@@ -11,6 +11,7 @@ Behind it, each folder builds on those before it:
   read off the graph (deadlocks, liveness, home states);
 - ``plan``: the same for a plan under its policy;
 - ``proofs``: what holds in all markings, with proofs that can be checked, and witnesses;
+- ``queries``: temporal queries (CSL and CTL);
 - ``symbolic``: how many markings there are, where they are too many to visit, by decision diagrams;
 - ``chain``: the Markov chain of a state space, vanishing markings eliminated;
 - ``solution``: steady state, transient, first passage, and the measures derived from them;

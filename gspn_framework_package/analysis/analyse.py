@@ -42,6 +42,7 @@ from gspn_framework_package.analysis.solution.steady_state import SteadyState, s
 from gspn_framework_package.analysis.solution.transient import time_to_steady_state, transient
 from gspn_framework_package.analysis.state_space.coverability import CoverabilityTree
 from gspn_framework_package.analysis.state_space.properties import Liveness, Properties
+from gspn_framework_package.analysis.state_space.rated_graph import RatedGraph
 from gspn_framework_package.analysis.state_space.space import StateSpace, WitnessStep, explore
 from gspn_framework_package.analysis.structure.invariants import bounds_of
 from gspn_framework_package.analysis.structure.net_structure import Structure
@@ -239,7 +240,7 @@ class Analysis:
             self.net,
             limit=min(limit, self.limit),
             memory=memory,
-            **self._while_working,
+            **self.while_working,
         )
 
     def _watch(self, seconds: Optional[float] = None) -> Watch:
@@ -309,7 +310,7 @@ class Analysis:
                 limit=limit,
                 bounds=bounds,
                 memory=self.limits.memory,
-                **self._while_working,
+                **self.while_working,
             )
         return explore(
             net,
@@ -317,7 +318,7 @@ class Analysis:
             engine=self._engine,
             bounds=bounds,
             memory=self.limits.memory,
-            **self._while_working,
+            **self.while_working,
         )
 
     def _symmetry(self, net: Net) -> Symmetry:
@@ -342,7 +343,7 @@ class Analysis:
             timing=PlanTiming(plan) if self._reading == RUN else None,
             limit=limit,
             memory=self.limits.memory,
-            **self._while_working,
+            **self.while_working,
         )
 
     @cached_property
@@ -520,9 +521,7 @@ class Analysis:
 
     def _looks_at_counters(self, condition: str) -> bool:
         """Whether the condition refers to omitted places."""
-        if not self.left_out:
-            return False
-        return bool(set(self._parsed(condition).places) & set(self.left_out))
+        return not set(self.left_out).isdisjoint(self._parsed(condition).places)
 
     def _parsed(self, condition: str) -> Condition:
         return parse_condition(condition, [p.name for p in self.net.places], ["deadlock"])
@@ -541,7 +540,7 @@ class Analysis:
     @cached_property
     def steady(self) -> SteadyState:
         """The steady state."""
-        return steady_state(self.chain, **self._while_working)
+        return steady_state(self.chain, **self.while_working)
 
     @cached_property
     def measures(self) -> Measures:
@@ -552,7 +551,7 @@ class Analysis:
         """Mean tokens and throughput at given times (s)."""
         return [
             (found.time, Measures(self.chain, found.distribution))
-            for found in transient(self.chain, times, **self._while_working)
+            for found in transient(self.chain, times, **self.while_working)
         ]
 
     def first_passage(self, condition: str, times: Sequence[float] = ()) -> Passage:
@@ -563,21 +562,20 @@ class Analysis:
         :raises LimitError: there are too many markings before it holds, or a linear system was not
           solved.
         """
-        space: StateSpace
-        if self._looks_at_counters(condition) or self._is_unbounded:
-            until = self._until(condition)
-            space, graph = until, until.rated()
-        else:
-            space, graph = self.space, self.chain.graph
-        return first_passage(graph, space.holds(condition), times, **self._while_working)
+        space = self.until(condition)
+        return first_passage(self.rated(space), space.holds(condition), times, **self.while_working)
 
     @property
-    def _while_working(self) -> Dict[str, Any]:
+    def while_working(self) -> Dict[str, Any]:
+        """The settings of long computations: ``progress``, ``cancel`` and ``seconds``."""
         return {"progress": self._progress, "cancel": self._cancel, "seconds": self.limits.seconds}
 
-    def _until(self, condition: str) -> PlanSpace:
-        """The markings, counters included, up to those in which a condition on counters holds. The
-        condition ends each run, which keeps the exploration finite."""
+    def until(self, condition: str) -> StateSpace:
+        """The markings for a question that ends where a condition holds: those of ``space`` or, if
+        it is on counters or there are infinitely many, counters included, up to those in which it
+        holds. The condition ends each run, which keeps the exploration finite."""
+        if not (self._looks_at_counters(condition) or self._is_unbounded):
+            return self.space
         plan = self.plan
         if plan is None:  # a plan without robots follows the rules of its net
             plan = Plan(
@@ -590,9 +588,13 @@ class Analysis:
         limit = min(self.limit, _SEARCHED) if self._is_unbounded else self.limit
         return self._visit_plan(plan, limit)
 
+    def rated(self, space: StateSpace) -> RatedGraph:
+        """The markings of :meth:`until`, with rates and probabilities."""
+        if isinstance(space, PlanSpace) and space is not self.space:
+            return space.rated()
+        return self.chain.graph
+
     def time_to_steady_state(self, tolerance: float = 1e-3) -> float:
         """The time (s) from which on the distribution stays within ``tolerance`` of the steady
         state."""
-        return time_to_steady_state(
-            self.chain, tolerance, steady=self.steady, **self._while_working
-        )
+        return time_to_steady_state(self.chain, tolerance, steady=self.steady, **self.while_working)

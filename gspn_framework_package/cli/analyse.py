@@ -55,6 +55,10 @@ _OPTIONS: Arguments = {
 }
 
 _QUESTIONS: Arguments = {
+    repeated("--query", "QUERY"): (
+        "answer only temporal queries, such as 'P=? [ F<=10 done >= 2 ]', 'S=? [ busy = 1 ]' or "
+        "'AG EF home = 1' (docs/analysis.md)"
+    ),
     repeated("--at", "T", float, nargs="+"): "tokens and throughput at these times (s)",
     repeated("--reach", "CONDITION"): (
         "can this marking be reached, e.g. \"p3 >= 1 and 'p1:Check L1' == 0\" or deadlock"
@@ -117,6 +121,10 @@ def _run(args: argparse.Namespace) -> int:
     subject, notes = read_subject(args)
     questions = _questions(args, subject)
     limits, memory = limits_of(args), memory_of(args)
+    if args.query:  # loaded for these alone, since most analyses need no proofs
+        from gspn_framework_package.cli.queries import answer_queries
+
+        return answer_queries(args, subject, notes, limits)
     if memory is not None and isinstance(subject, Plan):
         raise UsageError(
             "--memory requires a net", hint="use --only-net to analyse the net of a plan"
@@ -198,6 +206,8 @@ def _questions(args: argparse.Namespace, subject: Union[Net, Plan]) -> Questions
     if any(not (t >= 0 and math.isfinite(t)) for t in questions.at):
         raise UsageError("--at: a time must be a number of seconds, at least 0")
     questions.check(subject.net if isinstance(subject, Plan) else subject)
+    if args.query:
+        _check_queries(args, questions)
     if args.symbolic:
         _check_symbolic(args, subject, questions)
     return questions
@@ -215,12 +225,28 @@ def _check_symbolic(
             raise UsageError("--symbolic and --%s exclude each other" % option)
     if args.engine != "auto":
         raise UsageError("--symbolic uses its own engine", hint="leave out --engine")
-    asked = questions._replace(structure=True, timing=True, symbolic=False)
-    if asked != Questions(rewards={}):
+    if _asks_more(questions):
         raise UsageError(
             "--symbolic counts markings, and answers no other questions",
             hint="leave out --symbolic, or the questions",
         )
+
+
+def _check_queries(args: argparse.Namespace, questions: Questions) -> None:
+    if _asks_more(questions):
+        raise UsageError(
+            "--query answers queries, and no other questions",
+            hint="leave out --query, or the questions",
+        )
+    for option in ("csv", "lump", "memory", "symbolic"):
+        if getattr(args, option):
+            raise UsageError("--query and --%s exclude each other" % option)
+
+
+def _asks_more(questions: Questions) -> bool:
+    """Whether something is asked that is not always answered."""
+    always = questions._replace(structure=True, timing=True, symbolic=False)
+    return always != Questions(rewards={})
 
 
 def _print(data: Dict[str, Any], left_out: List[str], as_json: bool) -> None:

@@ -180,40 +180,50 @@ def parse_condition(text: str, places: Sequence[str], labels: Collection[str] = 
       where.
     """
     index = {name: i for i, name in enumerate(places)}
-    parser = _ConditionParser(text, index, labels)
+    parser = ConditionParser(text, index, labels)
     tree = parser.disjunction()
     parser.finish()
+    return Condition(text, demand_truth(tree, text), index)
+
+
+def demand_truth(tree: Any, text: str) -> Any:
+    """The tree of a condition. :raises ExpressionError: it is that of a number."""
     if not isinstance(tree, _TRUTH_NODES):
         raise ExpressionError(
             "'%s' is a number, not a condition" % shorten(text),
             hint="compare it with something, e.g. '%s >= 1'" % shorten(text, 30),
         )
-    return Condition(text, tree, index)
+    return tree
 
 
-class _ConditionParser(Parser):
-    """``disjunction = conjunction {or conjunction}``, ``conjunction = opposite {and opposite}``,
+class ConditionParser(Parser):
+    """A parser of conditions.
+
+    ``disjunction = conjunction {or conjunction}``, ``conjunction = opposite {and opposite}``,
     ``opposite = not opposite | comparison``, ``comparison = sum [(== | < | ...) sum]``; any of
     these may be in parentheses."""
 
     def __init__(self, text: str, places: Mapping[str, int], labels: Collection[str]) -> None:
         super().__init__(text)
-        self._places = places
+        self.places = places
         self._labels = labels
 
     def disjunction(self) -> Any:
+        """Read conjunctions joined by ``or``."""
         left = self.conjunction()
         while self._word() == "or":
             left = self._logical("or", left, self.conjunction)
         return left
 
     def conjunction(self) -> Any:
+        """Read conditions joined by ``and``."""
         left = self.opposite()
         while self._word() == "and":
             left = self._logical("and", left, self.opposite)
         return left
 
     def opposite(self) -> Any:
+        """Read a comparison and any ``not`` before it."""
         if self._is_not():
             self.next += 1
             self.enter()
@@ -225,6 +235,7 @@ class _ConditionParser(Parser):
         return self.comparison()
 
     def comparison(self) -> Any:
+        """Read a comparison, or a sum alone."""
         at = self.next
         left: Any = self.sum()
         written = self.take(*_COMPARISONS)
@@ -239,12 +250,15 @@ class _ConditionParser(Parser):
         return Comparison(_COMPARISONS[written], left, right)
 
     def sum(self) -> Any:
+        """Read a sum; its operands must be numbers."""
         return self._arithmetic(super().sum)
 
     def product(self) -> Any:
+        """Read a product; its operands must be numbers."""
         return self._arithmetic(super().product)
 
     def atom(self) -> Any:
+        """Read a number, a name, a call, or a condition in parentheses."""
         if self.take("#") and self.token.kind != "name":
             self.fail("a place was expected after '#'")
         token = self.token
@@ -254,13 +268,13 @@ class _ConditionParser(Parser):
             return inner
         if token.kind != "name":
             return super().atom()
-        if not self._quoted() and token.text not in self._places:
+        if not self.quoted() and token.text not in self.places:
             if token.text in ("true", "false"):
                 self.next += 1
                 return Truth(token.text == "true")
             if token.text in FUNCTIONS:
                 return super().atom()
-        if token.text in self._places:
+        if token.text in self.places:
             self.next += 1
             return Name(token.text)
         if token.text in self._labels:
@@ -271,8 +285,8 @@ class _ConditionParser(Parser):
     def _unknown(self, name: str) -> NoReturn:
         import difflib
 
-        close = difflib.get_close_matches(name, list(self._places), 3, 0.5)
-        known = ["'%s'" % p for p in (close or list(self._places)[:8])]
+        close = difflib.get_close_matches(name, list(self.places), 3, 0.5)
+        known = ["'%s'" % p for p in (close or list(self.places)[:8])]
         hint = (
             ("did you mean %s?" % " or ".join(known)) if close else "places: %s" % ", ".join(known)
         )
@@ -308,13 +322,14 @@ class _ConditionParser(Parser):
             self.next = at
             self.fail("a number was expected, not a condition,")
 
-    def _quoted(self) -> bool:
+    def quoted(self) -> bool:
+        """Whether the next token is a name in quotes."""
         return self.text[self.token.start : self.token.start + 1] in ("'", '"')
 
     def _word(self) -> str:
         token = self.token
-        if token.kind == "operator" or (token.kind == "name" and not self._quoted()):
-            return _WORDS.get(token.text if token.text in self._places else token.text.lower(), "")
+        if token.kind == "operator" or (token.kind == "name" and not self.quoted()):
+            return _WORDS.get(token.text if token.text in self.places else token.text.lower(), "")
         return ""
 
     def _is_not(self) -> bool:
@@ -323,8 +338,8 @@ class _ConditionParser(Parser):
             return token.text == "!"
         return (
             token.kind == "name"
-            and not self._quoted()
-            and token.text not in self._places
+            and not self.quoted()
+            and token.text not in self.places
             and token.text.lower() == "not"
         )
 
@@ -408,7 +423,7 @@ def run_in_columns(
     import numpy
 
     with numpy.errstate(all="ignore"):
-        return run_program(program, columns, labels, _vector_functions())
+        return run_program(program, columns, labels, vector_functions())
 
 
 def _divide(a: float, b: float) -> float:
@@ -464,7 +479,8 @@ _SCALAR: Dict[str, Callable[..., Any]] = {
 _VECTOR: Dict[str, Callable[..., Any]] = {}
 
 
-def _vector_functions() -> Functions:
+def vector_functions() -> Functions:
+    """What the steps of a program do with the arrays of many markings."""
     if not _VECTOR:
         import functools
 

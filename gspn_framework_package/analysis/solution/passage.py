@@ -20,14 +20,14 @@ time t is the probability of G at t in the chain with G absorbing (see
 from __future__ import annotations
 
 import math
-from typing import List, NamedTuple, Optional, Sequence
+from typing import List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
-from gspn_framework_package.analysis.arrays import Booleans
+from gspn_framework_package.analysis.arrays import Booleans, Floats
 from gspn_framework_package.analysis.chain.markov_chain import Chain
 from gspn_framework_package.analysis.graph import can_reach, reachable_from
-from gspn_framework_package.analysis.solution.linear import solve_linear
+from gspn_framework_package.analysis.solution.linear import LinearSolution, solve_linear
 from gspn_framework_package.analysis.solution.ordering import sweep_order
 from gspn_framework_package.analysis.solution.transient import transient
 from gspn_framework_package.analysis.state_space.rated_graph import RatedGraph
@@ -47,6 +47,93 @@ class Passage(NamedTuple):
     mean_time: float
     within: List[float]
     residual: float
+
+
+class Passing:
+    """A chain until a condition first holds: the states in which it does are absorbing, and those
+    that the chain must ``avoid`` on the way.
+
+    :ivar chain: that chain.
+    :ivar there: boolean array over its states: those in which the condition holds.
+    :ivar possible: whether it may hold.
+    :ivar lost: whether it may never hold.
+    """
+
+    def __init__(self, graph: RatedGraph, goal: Booleans, avoid: Optional[Booleans] = None) -> None:
+        """:param goal: boolean array: the states of ``graph`` in which the condition holds.
+        :param avoid: boolean array: those, without ``goal``, at which it is too late.
+        :raises RefusedError: there is a timeless trap.
+        """
+        self.chain = chain = Chain(graph, absorbing=goal if avoid is None else goal | avoid)
+        self.there = goal[chain.states]
+        sources = np.repeat(np.arange(len(chain)), np.diff(chain.rates.indptr))
+        targets = chain.rates.indices
+        visited = reachable_from(len(chain), sources, targets, chain.initial > 0)
+        hopeful = can_reach(len(chain), sources, targets, self.there)
+        self.possible = bool((visited & hopeful).any())
+        self.lost = bool((visited & ~hopeful).any())
+        self._inside = np.flatnonzero(visited & hopeful & ~self.there)
+        self._among = chain.rates[self._inside][:, self._inside]
+        self._exits = chain.exit_rates[self._inside]
+        self._order = sweep_order(chain, self._inside)
+
+    def probability(self, watch: Watch) -> Tuple[float, float]:
+        """The probability that the condition ever holds, and the residual of the solution."""
+        if not self.lost:
+            return 1.0, 0.0
+        solution = self._solve(self._into(), watch)
+        return self._from_start(solution.values, self._at_once()), solution.residual
+
+    def mean_time(self, watch: Watch) -> Tuple[float, float]:
+        """The mean time (s) until the condition holds, and the residual of the solution."""
+        if self.lost:
+            return math.inf, 0.0
+        solution = self._solve(np.ones(len(self._inside)), watch)
+        return self._from_start(solution.values), solution.residual
+
+    def bounded_probability(self, watch: Watch) -> Tuple[float, float]:
+        """The probability that the condition ever holds, and a bound of the error of its
+        computation.
+
+        A solution x of ``e * h = b + M h`` that leaves the imbalance ``r = b + M x - e * x`` is
+        wrong by ``(e - M)**-1 r``. That inverse has no negative entry, so the error is at most
+        ``max(|r| / e) * n``, with ``n`` the mean number of changes of state until the end, which
+        solves ``e * n = e + M n``.
+        """
+        if not self.lost:
+            return 1.0, 0.0
+        if not len(self._inside):
+            return self._at_once(), 0.0
+        into, exits = self._into(), self._exits
+        values = self._solve(into, watch).values
+        changes = self._solve(exits, watch).values
+        gained = into + self._among @ values
+        rounding = (np.diff(self._among.indptr) + 3) * np.finfo(float).eps
+        wrong = np.abs(gained - exits * values) + rounding * (gained + exits * values)
+        share = 1.0 - rounding - np.abs(1.0 - (changes - (self._among @ changes) / exits))
+        if not share.min() > 0:
+            return self._from_start(values, self._at_once()), 1.0
+        error = float((wrong / exits).max() / share.min()) * self._from_start(changes)
+        error += len(exits) * float(np.finfo(float).eps)
+        return self._from_start(values, self._at_once()), min(error, 1.0)
+
+    def _solve(self, rhs: Floats, watch: Watch) -> LinearSolution:
+        if not len(rhs):
+            return LinearSolution(rhs, 0.0, "LU")
+        return solve_linear(
+            self._among, self._exits, rhs, backward=True, order=self._order, watch=watch
+        )
+
+    def _into(self) -> Floats:
+        """The rate from each state inside to those in which the condition holds."""
+        into = self.chain.rates[self._inside][:, self.there].sum(axis=1)
+        return np.asarray(into).reshape(-1)
+
+    def _at_once(self) -> float:
+        return float(self.chain.initial[self.there].sum())
+
+    def _from_start(self, values: Floats, more: float = 0.0) -> float:
+        return more + float(self.chain.initial[self._inside] @ values)
 
 
 def first_passage(
@@ -72,35 +159,13 @@ def first_passage(
     if not goal.any():
         return Passage(0.0, math.inf, [0.0] * len(times), 0.0)
     watch = Watch(progress, cancel, seconds=seconds)
-    chain = Chain(graph, absorbing=goal)
-    there = goal[chain.states]
-    sources = np.repeat(np.arange(len(chain)), np.diff(chain.rates.indptr))
-    targets = chain.rates.indices
-    visited = reachable_from(len(chain), sources, targets, chain.initial > 0)
-    hopeful = can_reach(len(chain), sources, targets, there)
-    lost = bool((visited & ~hopeful).any())
-    inside = np.flatnonzero(visited & hopeful & ~there)
-    among = chain.rates[inside][:, inside]
-    exits, order = chain.exit_rates[inside], sweep_order(chain, inside)
-    worst = 0.0
-    if lost:
-        into = np.asarray(chain.rates[inside][:, there].sum(axis=1)).reshape(-1)
-        solution = solve_linear(among, exits, into, backward=True, order=order, watch=watch)
-        probability = float(chain.initial[there].sum() + chain.initial[inside] @ solution.values)
-        mean = math.inf
-        worst = solution.residual
-    else:
-        probability, mean = 1.0, 0.0
-        if len(inside):
-            solution = solve_linear(
-                among, exits, np.ones(len(inside)), backward=True, order=order, watch=watch
-            )
-            mean = float(chain.initial[inside] @ solution.values)
-            worst = solution.residual
+    passing = Passing(graph, goal)
+    probability, worst = passing.probability(watch)
+    mean, residual = passing.mean_time(watch)
     evolution = (
-        transient(chain, times, progress=progress, cancel=cancel, seconds=seconds)
+        transient(passing.chain, times, progress=progress, cancel=cancel, seconds=seconds)
         if len(times)
         else []
     )
-    within = [float(at.distribution[there].sum()) for at in evolution]
-    return Passage(min(probability, 1.0), mean, within, worst)
+    within = [float(at.distribution[passing.there].sum()) for at in evolution]
+    return Passage(min(probability, 1.0), mean, within, max(worst, residual))

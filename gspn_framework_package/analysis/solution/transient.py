@@ -56,7 +56,7 @@ class Evolution:
         self.distribution = np.array(
             chain.initial if initial is None else initial, dtype=np.float64
         )
-        self._clock = float(chain.exit_rates.max(initial=0.0)) * 1.02
+        self._clock = _clock(chain)
         self._watch = watch or Watch()
         self._stays: Optional[Floats] = None
         self._moves: Optional[Matrix] = None
@@ -122,6 +122,18 @@ def transient(
     return [Transient(time, found[time]) for time in asked]
 
 
+def truncation_and_rounding(chain: Chain, time: float) -> float:
+    """A bound of the error of a sum of probabilities at a ``time`` (s): of the terms of the Poisson
+    distribution that are omitted, before and when the distribution no longer changes, and of the
+    rounding of each tick and of the weights."""
+    ticks = _clock(chain) * time
+    if ticks == 0:
+        return 0.0
+    steps = ticks + _spread(ticks)
+    each = int(np.diff(chain.inflow.indptr).max(initial=0)) + 2 + 4 * math.log(steps + math.e)
+    return 2 * TRUNCATION_ERROR + steps * each * float(np.finfo(float).eps)
+
+
 def check_tolerance(tolerance: float) -> None:
     """Check a tolerance. :raises UsageError: a distribution cannot be that far from the steady
     state."""
@@ -181,8 +193,18 @@ def time_to_steady_state(
 def poisson(mean: float) -> Tuple[int, Floats]:
     """The Poisson weights that matter: the first count, and the weights from there on; the omitted
     ones sum to less than :data:`TRUNCATION_ERROR`."""
-    spread = 8 * math.sqrt(mean) + 24
+    spread = _spread(mean)
     first = max(0, int(mean - spread))
     counts = np.arange(first, int(mean + spread) + 1)
     weights = np.exp(counts * math.log(mean) - mean - special.gammaln(counts + 1.0))
     return first, weights / weights.sum()
+
+
+def _spread(mean: float) -> float:
+    """How far the counts that matter are from the mean of a Poisson distribution."""
+    return 8 * math.sqrt(mean) + 24
+
+
+def _clock(chain: Chain) -> float:
+    """The rate (1/s) of the ticks."""
+    return float(chain.exit_rates.max(initial=0.0)) * 1.02

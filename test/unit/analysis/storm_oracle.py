@@ -38,6 +38,12 @@ class Storm:
         """The probability that it ever holds."""
         return self._exact("Pmin=? [F %s]" % condition)
 
+    def until(self, stay, goal, time=None):
+        """The probability that one condition holds until another does, within a time or ever."""
+        if time is None:
+            return self._exact("Pmin=? [%s U %s]" % (stay, goal)), "exact"
+        return self._timed("Pmin=? [%s U<=%r %s]" % (stay, time, goal), "MERGE_LABELS")
+
     def mean_time(self, condition):
         """The mean time until it holds; only where it surely does."""
         return self._exact("Tmin=? [F %s]" % condition)

@@ -9,7 +9,9 @@ from generated_nets import bounded_nets
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
+from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.chain import Chain
+from gspn_framework_package.analysis.queries.answers import answer_query
 from gspn_framework_package.analysis.solution.measures import Measures
 from gspn_framework_package.analysis.solution.passage import first_passage
 from gspn_framework_package.analysis.solution.steady_state import steady_state
@@ -106,3 +108,18 @@ def test_first_passage(net, time, which, count):
     theirs, kind = storm.within("(%s)" % condition, time)
     if "CTMC" in kind and not space.is_vanishing[0]:  # see test_transient
         assert passage.within[0] == pytest.approx(theirs, abs=1e-6)
+
+
+@relaxed
+@given(bounded_nets(), st.sampled_from([None, 0.1, 1.0, 7.5]), st.integers(0, 3), st.integers(0, 3))
+def test_until(net, time, first, second):
+    chain_of(net)
+    stay = "(%s <= 1)" % net.places[first % len(net.places)].name
+    goal = "(%s >= 2)" % net.places[second % len(net.places)].name
+    theirs, kind = Storm(net).until(stay, goal, time)
+    space = explore(net)
+    assume(kind == "exact" or ("CTMC" in kind and not space.is_vanishing[0]))  # see test_transient
+    within = "" if time is None else "<=%r" % time
+    low, high = answer_query(Analysis(net), "P=? [ %s U%s %s ]" % (stay, within, goal)).interval
+    precision = 1e-12 if time is None else 1e-8  # Storm's own
+    assert low - precision <= theirs <= high + precision
