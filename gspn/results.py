@@ -15,6 +15,7 @@ from gspn_framework_package.model.errors import UsageError
 if TYPE_CHECKING:
     from gspn_framework_package.analysis.preflight.report import PreflightReport
     from gspn_framework_package.analysis.proofs.ladder import Answer
+    from gspn_framework_package.analysis.queries.answers import QueryAnswer
     from gspn_framework_package.analysis.simulation import Simulation
     from gspn_framework_package.analysis.simulation.estimates import Estimate
     from gspn_framework_package.analysis.solution.measures import Measures
@@ -310,6 +311,37 @@ class ProofResult(Result):
             }
             for answer in self._answers
         ]
+
+    def _shown(self) -> Records:
+        return ()
+
+
+class QueryResult(Result):
+    """The answer to a temporal query.
+
+    :ivar value: the probability or the share of time that was asked for; None otherwise.
+    :ivar interval: the bounds of ``value``; None if there is none.
+    :ivar holds: the answer to a query with yes or no; None if it is not decided.
+    :ivar undecided: why it is not decided; "" if it is.
+    """
+
+    def __init__(self, answer: QueryAnswer) -> None:
+        self._answer = answer
+        self.value: Optional[float] = answer.value
+        self.interval: Optional[Tuple[float, float]] = answer.interval
+        self.holds: Optional[bool] = answer.holds
+        self.undecided: str = answer.undecided
+
+    def _json(self) -> Dict[str, Any]:
+        return self._answer.to_json()
+
+    def _heading(self) -> Sequence[str]:
+        from gspn_framework_package.cli.queries import query_text
+
+        return [query_text(self._answer)]
+
+    def _records(self) -> Records:
+        return [self.to_dict()]
 
     def _shown(self) -> Records:
         return ()

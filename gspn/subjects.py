@@ -210,6 +210,24 @@ class _Subject:
             )
         return results.ProofResult(answers)
 
+    def query(self, query: str) -> results.QueryResult:
+        """Answer a temporal query in the language of PRISM's properties.
+
+        :param query: such as ``"P=? [ F<=10 done >= 2 ]"``, ``"S=? [ busy == 1 ]"`` or
+            ``"AG EF home == 1"``; times are in seconds.
+        :raises InputError: the query cannot be read, or an operator in it is not supported.
+
+        >>> import gspn
+        >>> found = gspn.example("measure").query("P=? [ F<=10 P3 >= 5 ]")
+        >>> round(found.value, 6), found.interval[1] - found.interval[0] < 1e-9
+        (0.999785, True)
+        >>> gspn.example("measure").query("AG P1 <= 2").holds
+        True
+        """
+        from gspn_framework_package.analysis.queries.answers import answer_query
+
+        return results.QueryResult(answer_query(self._analysis, query))
+
     def simulate(
         self,
         time: float = float("inf"),

@@ -58,12 +58,13 @@ def answer_queries(
 
 def _text(answers: List[QueryAnswer], timing: Mapping[str, Any]) -> Iterator[str]:
     for answer in answers:
-        yield "%s: %s" % (answer.query, _answer(answer))
+        yield query_text(answer)
     for assumption in timing.get("assumptions", ()):
         yield "    assumed: %s" % assumption
 
 
-def _answer(answer: QueryAnswer) -> str:
+def query_text(answer: QueryAnswer) -> str:
+    """A query and its answer on one line."""
     words = []
     if answer.holds is not None:
         words.append("yes" if answer.holds else "no")
@@ -77,4 +78,4 @@ def _answer(answer: QueryAnswer) -> str:
         words.append("by %s" % (", ".join(answer.sequence) or "nothing: at the start"))
     if answer.holds is not None and answer.value is None:
         words[-1] += " (%s)" % answer.decided_by if answer.decided_by else ""
-    return ", ".join(words)
+    return "%s: %s" % (answer.query, ", ".join(words))

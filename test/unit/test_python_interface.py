@@ -241,6 +241,7 @@ ANSWERS = {
     "transient": lambda plan: plan.transient([0.5, 2.0]),
     "passage": lambda plan: plan.passage("P4 == 1", within=[1.0]),
     "prove": lambda plan: plan.prove(never_fires="T1", always="P1 <= 2"),
+    "query": lambda plan: plan.query("P>=0.5 [ F<=2 P3 >= 1 ]"),
     "simulate": lambda plan: plan.simulate(20.0, replications=20),
     "optimise": lambda plan: plan.optimise(reward={"T3": 1.0}),
     "run": lambda plan: plan.run(firings=1),
