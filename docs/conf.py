@@ -6,7 +6,9 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(HERE)]
+
+import notebook_pages  # noqa: E402
 
 import gspn_framework_package  # noqa: E402
 
@@ -108,3 +110,4 @@ def write_api_pages() -> None:
 
 
 write_api_pages()
+notebook_pages.write_pages()
