@@ -10,7 +10,8 @@ from typing import Any, Dict, NamedTuple
 
 from gspn_framework_package.cli.options import add_options
 from gspn_framework_package.model.errors import DataError, InputError, UsageError
-from gspn_framework_package.team.orders import ORDERS, SUBMITTED, FieldKind, OrderField, OrderKind
+from gspn_framework_package.team.order_fields import FieldKind, OrderField
+from gspn_framework_package.team.orders import ORDERS, SUBMITTED, OrderKind
 
 OWN_MODULES = ("status", "tasks", "breakpoints", "trust")
 """The orders whose verb shows or asks more, in the module of that name."""

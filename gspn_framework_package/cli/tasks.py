@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from typing import Any, List, Mapping, Sequence
+from typing import Any, List, Mapping, Optional, Sequence
 
 from gspn_framework_package.cli.options import Arguments
 from gspn_framework_package.cli.table import aligned
@@ -19,7 +19,7 @@ EPILOG = (
     "0 a robot answered, 1 none did."
 )
 
-_COLUMNS = ("id", "waiting since", "where", "priority", "attempts", "")
+_COLUMNS = ("id", "waiting since", "until", "where", "priority", "attempts", "")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -37,7 +37,8 @@ def lines(told: Mapping[str, Any]) -> List[str]:
     rows += [
         (
             task["id"],
-            "" if task["since"] is None else _clock(task["since"]),
+            _clock(task["since"]),
+            _clock(task["until"]),
             task["where"] + (" in " + task["place"] if task["robot"] else ""),
             str(task["priority"]),
             str(task["attempts"]),
@@ -49,7 +50,9 @@ def lines(told: Mapping[str, Any]) -> List[str]:
     return [*(aligned(rows) if told["tasks"] else ["the team has no task"]), *ended]
 
 
-def _clock(seconds: float) -> str:
+def _clock(seconds: Optional[float]) -> str:
+    if seconds is None:
+        return ""
     there = time.localtime(seconds)
     today = there[:3] == time.localtime()[:3]
     return time.strftime("%H:%M:%S" if today else "%Y-%m-%d %H:%M:%S", there)

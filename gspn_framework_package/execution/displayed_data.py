@@ -96,7 +96,8 @@ def displayed_tasks(state: TeamState, net: Net) -> Dict[str, Any]:
     :returns: ``tasks``: for each its ``id``, ``where`` it is (in words), the ``transition``,
         ``place`` or ``robot`` there (the others are ""), ``trouble`` ("" if somebody works on it or
         will), ``priority``, ``attempts`` (how often a robot took it) and ``since`` (seconds since
-        1970; None if not known). ``ended``: for each its ``id``, ``outcome`` and ``why``, the last
+        1970; None if not known) and ``until`` (when it is late if it still waits; None for never).
+        ``ended``: for each its ``id``, ``outcome`` and ``why``, the last
         one last.
     """
     tasks = []
@@ -115,6 +116,7 @@ def displayed_tasks(state: TeamState, net: Net) -> Dict[str, Any]:
                 "priority": task.priority,
                 "attempts": task.attempts,
                 "since": task.since or None,
+                "until": task.until or None,
             }
         )
     return {"tasks": tasks, "ended": [ended._asdict() for ended in state.ended_tasks]}

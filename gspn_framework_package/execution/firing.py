@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Dict, Mapping, NamedTuple, Optional, Tuple, Union
 
-from gspn_framework_package.execution.log_entries import NOTHING, Failed
+from gspn_framework_package.execution.log_entries import NOTHING, Entry, Failed
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.model.outcome import Outcome
@@ -85,11 +85,14 @@ class CancelAction(NamedTuple):
 
 class Fault(NamedTuple):
     """A fault that a person should know about; ``robot`` is "" if it concerns no robot, and
-    ``failed`` is the reason why its action failed ("" for other faults)."""
+    ``failed`` is the reason why its action failed ("" for other faults). ``void`` is the entry that
+    had no effect, if the fault says why; ``about_task``: it says what becomes of a task."""
 
     robot: str
     message: str
     failed: str = ""
+    void: Optional[Entry] = None
+    about_task: bool = False
 
 
 class Ended(NamedTuple):

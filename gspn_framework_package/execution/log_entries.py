@@ -117,7 +117,9 @@ class Submit(NamedTuple):
     is gone. If the transition is not enabled, the task waits until it is.
 
     Tasks of a higher ``priority`` come before others where they wait. ``since``: when it was
-    submitted (whole seconds since 1970; 0: unknown).
+    submitted; ``until``: when it is late if it still waits (both whole seconds since 1970; 0:
+    unknown, never). ``replaces``: the id of the task that it replaces, which is cancelled; if that
+    has ended, this one is not taken. "" for none.
     """
 
     transition: str
@@ -127,12 +129,24 @@ class Submit(NamedTuple):
     again: bool = False
     priority: int = 0
     since: int = 0
+    until: int = 0
+    replaces: str = ""
 
 
 class CancelTask(NamedTuple):
     """The task with this ``id`` is not to be done. If it waits, it is taken out; if a robot carries
     it, its action is cancelled, and the plan says where the robot goes
-    (:attr:`~gspn_framework_package.model.event.Tasks.on_cancel`)."""
+    (:attr:`~gspn_framework_package.model.event.Tasks.on_cancel`). ``late``: robots cancel it, if it
+    still waits, because its time is over."""
+
+    id: str
+    by: Giver = NOBODY
+    late: bool = False
+
+
+class GiveBack(NamedTuple):
+    """The robot that carries the task with this ``id`` gives it back to its queue, as ``on_evict``
+    says for its place, and goes on as if the task was cancelled."""
 
     id: str
     by: Giver = NOBODY
@@ -253,7 +267,8 @@ class Unstage(NamedTuple):
     by: Giver = NOBODY
 
 
-TaskOrder = Union[CancelTask, PrioritiseTask]
+ABOUT_TASKS = (CancelTask, GiveBack, PrioritiseTask)
+TaskOrder = Union[CancelTask, GiveBack, PrioritiseTask]
 """The orders about a task that the team has."""
 
 Ordered = Union[
@@ -292,6 +307,7 @@ _KINDS: Dict[str, Type[Entry]] = {
     "interrupt": Interrupt,
     "submit": Submit,
     "cancel": CancelTask,
+    "give_back": GiveBack,
     "prioritise": PrioritiseTask,
     "join": Join,
     "leave": Leave,
@@ -310,11 +326,11 @@ _NAMES = {kind: name for name, kind in _KINDS.items()}
 _OPEN = ("data", "cause", "plan", "mapping")
 """Fields that hold JSON objects of any content."""
 
-_BOUNDED = frozenset((*_OPEN, "digest", "why", "id", "by", "priority"))
+_BOUNDED = frozenset((*_OPEN, "digest", "why", "id", "by", "priority", "replaces"))
 """Fields that are checked for more than their type."""
 
 
-_LATER = ("again", "returns", "draws_ties", "priority", "since")
+_LATER = ("again", "returns", "draws_ties", "priority", "since", "until", "replaces", "late")
 """Fields that entries of earlier versions lack."""
 
 
@@ -433,12 +449,21 @@ def _check_priority(priority: int) -> None:
         )
 
 
-def make_submit(transition: str, task: Any, data: Mapping[str, Any], priority: int = 0) -> Submit:
+def make_submit(
+    transition: str,
+    task: Any,
+    data: Mapping[str, Any],
+    priority: int = 0,
+    until: int = 0,
+    replaces: Any = "",
+) -> Submit:
     """Make the entry for a task from outside.
 
     :param task: the id of the task, text or a whole number; "" if it has none yet.
     :param data: name -> JSON value, without scopes: the names belong to the task.
     :param priority: tasks with a higher one come before others where they wait.
+    :param until: when it is late if it still waits (seconds since 1970; 0: never).
+    :param replaces: the id of the task that it replaces; "" for none.
     :raises DataError: the id, the data or the priority cannot be stored.
     """
     name = task_id(task)
@@ -450,7 +475,10 @@ def make_submit(transition: str, task: Any, data: Mapping[str, Any], priority: i
                 hint="write the name without a scope: 'pose' is read as task.pose, and task.id is "
                 "the id",
             )
-    return Submit(transition, name, dict(data), priority=priority)
+    other = task_id(replaces)
+    if other and other == name:
+        raise DataError("a task cannot replace itself; submit it under another id")
+    return Submit(transition, name, dict(data), priority=priority, until=until, replaces=other)
 
 
 def _check_bounds(fields: Dict[str, Any]) -> None:
@@ -479,5 +507,7 @@ def _check_bounds(fields: Dict[str, Any]) -> None:
         raise ValueError("its reason is longer than %d characters" % WHY_LIMIT)
     if len(fields.get("id", "")) > ID_LIMIT:
         raise ValueError("its id is longer than %d characters" % ID_LIMIT)
+    if len(fields.get("replaces", "")) > ID_LIMIT:
+        raise ValueError("the id that it replaces is longer than %d characters" % ID_LIMIT)
     if "priority" in fields:
         _check_priority(fields["priority"])

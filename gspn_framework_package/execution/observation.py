@@ -220,4 +220,5 @@ _UNFORESEEN = {
     log_entries.Pause: "was paused",
     log_entries.Retry: "was ordered to try again",
     log_entries.CancelTask: "was told to cancel a task",
+    log_entries.GiveBack: "was told to give a task back",
 }

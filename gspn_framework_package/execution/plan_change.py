@@ -15,6 +15,7 @@ from typing import Any, Dict, List, Mapping, Optional, Tuple
 
 from gspn_framework_package.execution.log_entries import StagePlan
 from gspn_framework_package.execution.team_state import StagedPlan, TeamState
+from gspn_framework_package.execution.team_tasks import first_of
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json
 from gspn_framework_package.model.compact_json import compact_sorted
 from gspn_framework_package.model.errors import GspnError, PlanError
@@ -221,18 +222,35 @@ def _tasks_without_place(state: TeamState, old: Plan, new: Plan, names: NewNames
     why = []
     for p, queue in state.queues.items():
         place = old.net.places[p].name
-        real = sum(1 for task in queue if task.id)
+        real = [task.id for task in queue if task.id]
         if real and names.place(place) not in new.tasks.queues:
             why.append(
-                "%d tasks wait in '%s', which is not a queue in the new plan" % (real, place)
+                "%d tasks wait in '%s', which is not a queue in the new plan: %s"
+                % (len(real), place, first_of(real))
             )
-    waiting = Counter(old.net.transitions[t].name for t, _ in state.submitted)
-    for t, count in waiting.items():
+    waiting: Dict[str, List[str]] = {}
+    for number, task in state.submitted:
+        waiting.setdefault(old.net.transitions[number].name, []).append(task.id)
+    for t, ids in waiting.items():
         if names.transition(t) not in new.submissions:
             why.append(
-                "%d tasks wait for '%s', which does not take tasks in the new plan" % (count, t)
+                "%d tasks wait for '%s', which does not take tasks in the new plan: %s"
+                % (len(ids), t, first_of(ids))
             )
     return why
+
+
+def tasks_in_hand(state: TeamState, new: Optional[Plan]) -> List[str]:
+    """Why a plan without queues cannot be adopted now: robots carry tasks, which they could give
+    back nowhere."""
+    if new is None or new.tasks.queues:
+        return []
+    return [
+        "%s has task %s, but the new plan has no queue: cancel the task, or let it be done first"
+        % (robot.name, robot.task.id)
+        for robot in state.active()
+        if robot.task is not None and robot.task.id
+    ]
 
 
 def begun_here(state: TeamState, old: Plan, new: Plan, mapping: Mapping[str, str]) -> Plan:

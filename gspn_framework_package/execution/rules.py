@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import List
+from typing import List, Mapping
 
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import RobotState, TeamState
+from gspn_framework_package.execution.team_tasks import FoundTask
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import POLICY
@@ -74,6 +75,26 @@ class Rules:
             for p, weight in self.net.inputs[t]
             if not self.is_resource[p]
         )
+
+    def gives_back(self, place: int) -> Mapping[str, int]:
+        """The resources that a robot returns when it departs from a place: resource place ->
+        tokens."""
+        return self.plan.on_evict.get(self.net.places[place].name, {})
+
+    def queue_from(self, place: int) -> str:
+        """The queue to which a robot that departs from a place returns its task; "" if none."""
+        return next((p for p in self.gives_back(place) if p in self.plan.tasks.queues), "")
+
+    def why_not_given_back(self, state: TeamState, found: FoundTask) -> str:
+        """Why a task cannot be given back to its queue; "" if it can."""
+        robot = state.robots.get(found.robot)
+        if robot is None:
+            return "no robot has it; it is " + found.where(self.net)
+        if robot.phase.gone:
+            return "%s is gone: submit the task again" % robot.name
+        if not self.queue_from(robot.place):
+            return "%s returns it to no queue (on_evict)" % self.net.places[robot.place].name
+        return ""
 
     def may_interrupt(self, state: TeamState, robot: RobotState, t: int) -> bool:
         """Whether ``t``, the transition of an event, can fire now and take ``robot`` along,

@@ -3,12 +3,19 @@ are put before others."""
 
 from __future__ import annotations
 
-from typing import List, Mapping, Optional
+from typing import List, Optional
 
 from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.firing import Fault
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import OUTSIDE_LIMIT, RobotState
-from gspn_framework_package.execution.team_tasks import TASK_CANCELLED, FoundTask, Task, by_priority
+from gspn_framework_package.execution.team_tasks import (
+    TASK_CANCELLED,
+    TASK_LATE,
+    FoundTask,
+    Task,
+    by_priority,
+)
 from gspn_framework_package.execution.turn import Turn
 
 KNOWN_TASKS = 10_000
@@ -17,6 +24,14 @@ KNOWN_TASKS = 10_000
 
 class TaskTurn(Turn):
     """A turn with the effects of the entries about tasks."""
+
+    _entry: Optional[log_entries.Entry] = None
+    """The entry that is being applied."""
+
+    def _refuse(self, message: str, robot: Optional[RobotState] = None) -> None:
+        """Say why the entry has no effect."""
+        name = robot.name if robot is not None else ""
+        self.commands.append(Fault(name, message, void=self._entry))
 
     # -- tasks that come in ------------------------------------------------------------------------
 
@@ -33,7 +48,9 @@ class TaskTurn(Turn):
             text = "%d tasks are already waiting for '%s'; '%s' is refused"
             self._fault(None, text % (OUTSIDE_LIMIT, entry.transition, entry.id))
             return
-        self._wait_outside(t, Task(entry.id, entry.data, entry.priority, entry.since))
+        if self._replaces(entry):
+            task = Task(entry.id, entry.data, entry.priority, entry.since, until=entry.until)
+            self._wait_outside(t, task)
         known = self.state.known.setdefault(t, {})
         if carrier is not None:
             carrier.task = None
@@ -44,6 +61,19 @@ class TaskTurn(Turn):
             if any(task.id == oldest for other, task in self.state.submitted if other == t):
                 break  # ids of waiting tasks are not forgotten
             del known[oldest]
+
+    def _replaces(self, entry: log_entries.Submit) -> bool:
+        """Cancel the task that another one replaces; False if that has ended, so that the other is
+        not taken."""
+        if not entry.replaces:
+            return True
+        there = self.state.tasks_with(entry.replaces)
+        if len(there) == 1:
+            self._cancel_task(there[0], "replaced by %s; " % entry.id)
+            return True
+        why = "it was to replace %s, which was not there" % entry.replaces
+        self.state.end_task(Task(entry.id), TASK_CANCELLED, why)
+        return False
 
     def _wait_outside(self, t: int, task: Task) -> None:
         """Let a task wait outside the net until ``t`` is enabled."""
@@ -60,12 +90,16 @@ class TaskTurn(Turn):
         there = self.state.tasks_with(entry.id)
         if len(there) != 1:
             return  # it has ended since, or nobody can know which is meant
-        if isinstance(entry, log_entries.CancelTask):
-            self._cancel_task(there[0])
-        else:
+        if isinstance(entry, log_entries.GiveBack):
+            self._give_task_back(there[0])
+        elif isinstance(entry, log_entries.PrioritiseTask):
             self._prioritise(there[0], entry.priority)
+        elif not entry.late:
+            self._cancel_task(there[0])
+        elif not there[0].robot:
+            self._cancel_task(there[0], "it waited too long; ", TASK_LATE)
 
-    def _cancel_task(self, found: FoundTask) -> None:
+    def _cancel_task(self, found: FoundTask, why: str = "", outcome: str = TASK_CANCELLED) -> None:
         state, task, where = self.state, found.task, found.where(self.net)
         robot = state.robots.get(found.robot)
         if robot is not None:
@@ -79,7 +113,18 @@ class TaskTurn(Turn):
                 marking = list(state.marking)
                 marking[found.place] -= 1
                 state.set_marking(tuple(marking))
-        state.end_task(task, TASK_CANCELLED, where)
+        state.end_task(task, outcome, why + where)
+
+    def _give_task_back(self, found: FoundTask) -> None:
+        why = self.rules.why_not_given_back(self.state, found)
+        if why:
+            self._refuse("task %s was not given back: %s" % (found.task.id, why))
+            return
+        robot = self.state.robots[found.robot]
+        marking = list(self.state.marking)
+        self._give_back(robot, marking, only_tasks=True)
+        self.state.set_marking(tuple(marking))
+        self._goes_on_without(robot, "its task %s was given back" % found.task.id)
 
     def _take_out(self, found: FoundTask) -> None:
         """Remove a task from those that wait."""
@@ -122,28 +167,20 @@ class TaskTurn(Turn):
 
     # -- tasks that return to their queues ---------------------------------------------------------
 
-    def _gave_back(self, robot: RobotState) -> Mapping[str, int]:
-        """The resources that a robot returns when it departs from its place: resource place ->
-        tokens."""
-        return self.plan.on_evict.get(self._name(robot.place), {})
-
-    def _holds_task(self, place: str) -> bool:
-        """Whether a robot that departs from a place returns a task."""
-        names = (self.net.places[q].name for q in self.rules.queues)
-        return not self.plan.on_evict.get(place, {}).keys().isdisjoint(names)
-
-    def _put_down(self, robot: RobotState, place: str, marking: List[int]) -> None:
+    def _put_down(self, robot: RobotState, place: int, marking: List[int]) -> None:
         """Return the task of a robot that is moved to a place where robots carry none."""
-        if robot.task is None or self._holds_task(place):
+        if robot.task is None or self.rules.queue_from(place):
             return
-        if self._holds_task(self._name(robot.place)):
+        if self.rules.queue_from(robot.place):
             self._give_back(robot, marking, only_tasks=True)
         elif robot.task.id:
             text = "keeps task %s in %s, because %s returns it to no queue (on_evict)"
-            self._fault(robot, text % (robot.task.id, place, self._name(robot.place)))
+            self._fault_of_task(
+                robot, text % (robot.task.id, self._name(place), self._name(robot.place))
+            )
 
     def _give_back(self, robot: RobotState, marking: List[int], only_tasks: bool = False) -> None:
-        for resource, count in self._gave_back(robot).items():
+        for resource, count in self.rules.gives_back(robot.place).items():
             p = self.net.place_number(resource)
             if p in self.rules.queues or not only_tasks:
                 marking[p] += count
@@ -155,5 +192,5 @@ class TaskTurn(Turn):
                 queue = by_priority(queue, task, first=True)
             self.state.queues[p] = queue
             if robot.task is not None and robot.task.id:
-                self._fault(robot, "returns task %s to %s" % (robot.task.id, resource))
+                self._fault_of_task(robot, "returns task %s to %s" % (robot.task.id, resource))
             robot.task = None

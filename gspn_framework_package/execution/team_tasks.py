@@ -12,7 +12,7 @@ from gspn_framework_package.model.net import Net
 class Task(NamedTuple):
     """A task with its data (name -> JSON value); ``id`` is "" for a token without a task.
 
-    ``priority`` and ``since`` are those of its
+    ``priority``, ``since`` and ``until`` are those of its
     :class:`~gspn_framework_package.execution.log_entries.Submit`; ``attempts`` counts how often a
     robot took it.
     """
@@ -22,6 +22,7 @@ class Task(NamedTuple):
     priority: int = 0
     since: int = 0
     attempts: int = 0
+    until: int = 0
 
     def to_json(self) -> List[Any]:
         """The task as a JSON value: its id, its data, and, if there are any, the other fields that
@@ -41,7 +42,7 @@ class Task(NamedTuple):
         return cls(name, check_values(values, None), **more)
 
 
-_OF_TASKS = ("priority", "since", "attempts")
+_OF_TASKS = ("priority", "since", "attempts", "until")
 
 
 class FoundTask(NamedTuple):
@@ -76,9 +77,10 @@ class EndedTask(NamedTuple):
         return "it was %s (%s)" % (self.outcome, self.why)
 
 
-TASK_DONE, TASK_CANCELLED, TASK_LOST = "done", "cancelled", "lost"
-OUTCOMES_OF_TASKS = (TASK_DONE, TASK_CANCELLED, TASK_LOST)
-"""How a task ends: it was done, an operator cancelled it, or it was dropped undone."""
+TASK_DONE, TASK_CANCELLED, TASK_LATE, TASK_LOST = "done", "cancelled", "late", "lost"
+OUTCOMES_OF_TASKS = (TASK_DONE, TASK_CANCELLED, TASK_LATE, TASK_LOST)
+"""How a task ends: it was done, an operator cancelled it, it still waited when its time was over,
+or it was dropped undone."""
 
 ENDED_TASKS = 100
 """Number of ended tasks that a team remembers, the newest."""
@@ -92,3 +94,13 @@ def by_priority(queue: Sequence[Task], task: Task, *, first: bool = False) -> Li
     floor = task.priority + first
     at = next((i for i, other in enumerate(queue) if other.priority < floor), len(queue))
     return [*queue[:at], task, *queue[at:]]
+
+
+TASKS_NAMED = 10
+"""Maximum number of tasks that a message names."""
+
+
+def first_of(tasks: Sequence[str]) -> str:
+    """The first tasks of several, for a message."""
+    more = ", ..." if len(tasks) > TASKS_NAMED else ""
+    return ", ".join(tasks[:TASKS_NAMED]) + more

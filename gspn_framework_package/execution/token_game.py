@@ -137,6 +137,8 @@ class _Reducer(TaskTurn):
         self.adopted: List[Tuple[int, TokenGame]] = []
 
     def apply(self, entry: log_entries.Entry) -> None:
+        """Apply an entry."""
+        self._entry = entry
         if isinstance(entry, log_entries.Start):
             self._start(entry)
         elif isinstance(entry, log_entries.Done):
@@ -155,7 +157,7 @@ class _Reducer(TaskTurn):
             self._event(entry._replace(transition=self.state.present_name(entry.transition)))
         elif isinstance(entry, log_entries.Submit):
             self._submit(entry._replace(transition=self.state.present_name(entry.transition)))
-        elif isinstance(entry, (log_entries.CancelTask, log_entries.PrioritiseTask)):
+        elif isinstance(entry, log_entries.ABOUT_TASKS):
             self._about_task(entry)
         elif isinstance(entry, log_entries.Join):
             self._join(entry._replace(place=self.state.present_name(entry.place)))
@@ -210,10 +212,9 @@ class _Reducer(TaskTurn):
             or self.rules.has_robots[t]
             or (self.rules.makes_robots[t] and not self.rules.agents)
         ):
-            self._fault(None, "'%s' is not a transition of the environment" % name)
+            self._refuse("'%s' is not a transition of the environment" % name)
         elif self.state.paused or not self.net.is_enabled(self.state.marking, t):
-            self._fault(
-                None,
+            self._refuse(
                 "'%s' cannot fire: %s"
                 % (
                     name,
@@ -269,7 +270,7 @@ class _Reducer(TaskTurn):
         present, staged = self.plan, self.state.staged
         why, new = plan_change.why_not_adopted(self.state, present, entry.stage, self.rules.agents)
         if why or new is None or staged is None:
-            self._fault(None, "the staged plan was not adopted: %s" % "; ".join(why))
+            self._refuse("the staged plan was not adopted: %s" % "; ".join(why))
             return
         game = adopted_game(staged, self.rules.agents)
         names = plan_change.NewNames(present, new, staged.mapping)
@@ -278,7 +279,9 @@ class _Reducer(TaskTurn):
         for robot in robots:
             self._carry_over(robot, names, game)
             if robot.task is not None and robot.task.id and not game.queues:
-                self._fault(robot, "keeps task %s, but the plan has no queue" % robot.task.id)
+                self._fault_of_task(
+                    robot, "keeps task %s, but the plan has no queue" % robot.task.id
+                )
         self._carry_tasks_over(names, game)
         self.state.renamed = plan_change.renamed(self.state.renamed, present, new, staged.mapping)
         self.rules, self.net, self.plan = game, game.net, game.plan
@@ -307,7 +310,7 @@ class _Reducer(TaskTurn):
         """Give a robot the numbers that its place and events have in the new net."""
         place = names.place_number(robot.place)
         if robot.phase.gone and (
-            place is None or game.is_resource[place] or self._gave_back(robot)
+            place is None or game.is_resource[place] or self.rules.gives_back(robot.place)
         ):
             # it returns like a new robot: its place no longer exists, or its resources were given
             # back
@@ -393,7 +396,11 @@ class _Reducer(TaskTurn):
             robot.incarnation = entry.incarnation
             robot.visit += 1
             p = self.net.place_index.get(entry.place)
-            if p is not None and not self.rules.is_resource[p] and self._gave_back(robot):
+            if (
+                p is not None
+                and not self.rules.is_resource[p]
+                and self.rules.gives_back(robot.place)
+            ):
                 robot.place = p
             self._add(robot)
             self._enter(robot)
@@ -426,7 +433,7 @@ class _Reducer(TaskTurn):
             self._fault(robot, "is lost; its token was in %s" % self._name(robot.place))
         if robot.task is not None and robot.task.id:
             text = "is gone with task %s, which %s returns to no queue (on_evict); submit it again"
-            self._fault(robot, text % (robot.task.id, self._name(robot.place)))
+            self._fault_of_task(robot, text % (robot.task.id, self._name(robot.place)))
         if robot.phase is Phase.LOST:
             self._on_lost(robot)
 
@@ -462,7 +469,7 @@ class _Reducer(TaskTurn):
         robot = self.state.robots.get(entry.robot)
         p = self.net.place_index.get(entry.place)
         if robot is None or robot.phase.gone or p is None or self.rules.is_resource[p]:
-            self._fault(robot, "'%s' cannot be put into '%s'" % (entry.robot, entry.place))
+            self._refuse("'%s' cannot be put into '%s'" % (entry.robot, entry.place), robot)
             return
         self._cancel(robot)
         self.state.remove_waiting(robot)
@@ -470,7 +477,7 @@ class _Reducer(TaskTurn):
         marking[robot.place] -= 1
         marking[p] += 1
         if entry.returns:
-            self._put_down(robot, entry.place, marking)
+            self._put_down(robot, p, marking)
         self.state.set_marking(tuple(marking))
         robot.place = p
         robot.visit += 1

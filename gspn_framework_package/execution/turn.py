@@ -20,7 +20,13 @@ from gspn_framework_package.execution.log_entries import NOTHING
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.rules import Rules
 from gspn_framework_package.execution.team_state import Draw, RobotState, TeamState
-from gspn_framework_package.execution.team_tasks import TASK_DONE, TASK_LOST, Task, by_priority
+from gspn_framework_package.execution.team_tasks import (
+    TASK_DONE,
+    TASK_LOST,
+    Task,
+    by_priority,
+    first_of,
+)
 from gspn_framework_package.model.data import NAMES_LIMIT, split
 from gspn_framework_package.model.failure import FailureEnd
 from gspn_framework_package.model.outcome import Outcome
@@ -30,9 +36,6 @@ _T = TypeVar("_T")
 
 FIRINGS_PER_ENTRY = 10_000
 """Number of firings after one entry that counts as a timeless cycle and ends the run."""
-
-TASKS_NAMED = 10
-"""Maximum number of unfinished tasks named at the end of a run."""
 
 ASKS_POLICY = ("", "None", None)
 """Results of an action that let the policy decide (thesis Algorithm 1)."""
@@ -354,7 +357,7 @@ class Turn:
                 moves.append(TaskMove(task.id, source, "done" if done else "dropped"))
                 self.state.end_task(task, TASK_DONE if done else TASK_LOST, name)
                 if task.id and not done:
-                    self._fault(None, "drops task %s, which was not done" % task.id)
+                    self._fault_of_task(None, "drops task %s, which was not done" % task.id)
                 continue
             robot = takers.pop(0)
             if robot.task is not None:
@@ -367,7 +370,7 @@ class Turn:
         assert robot.task is not None
         move = TaskMove(robot.task.id, "robot " + robot.name, "dropped")
         if move.id:
-            self._fault(robot, "drops task %s, which was not done" % move.id)
+            self._fault_of_task(robot, "drops task %s, which was not done" % move.id)
         self.state.end_task(robot.task, TASK_LOST, "dropped by " + robot.name)
         robot.task = None
         return move
@@ -548,13 +551,16 @@ class Turn:
     def _fault(self, robot: Optional[RobotState], message: str, failed: str = "") -> None:
         self.commands.append(Fault(robot.name if robot else "", message, failed))
 
+    def _fault_of_task(self, robot: Optional[RobotState], message: str) -> None:
+        """Say what becomes of a task."""
+        self.commands.append(Fault(robot.name if robot else "", message, about_task=True))
+
     def _end(self, reason: str, finished: bool, stopped: bool = False) -> None:
         if self.state.ended is None:
             left = self.state.tasks_left(self.net)
             if left:
-                more = ", ..." if len(left) > TASKS_NAMED else ""
-                text = "the run ends with %d unfinished tasks: %s%s"
-                self._fault(None, text % (len(left), ", ".join(left[:TASKS_NAMED]), more))
+                text = "the run ends with %d unfinished tasks: %s"
+                self._fault_of_task(None, text % (len(left), first_of(left)))
             self.state.ended, self.state.finished = reason, finished
             self.state.fault = not (finished or stopped)
             for robot in self.state.active():

@@ -37,6 +37,7 @@ _ORDERS = {
     log_entries.Pause: "pause",
     log_entries.Resume: "resume",
     log_entries.CancelTask: "cancel",
+    log_entries.GiveBack: "give-back",
     log_entries.PrioritiseTask: "prioritise",
     log_entries.Leave: "leave",
     log_entries.StagePlan: "deploy",
@@ -244,7 +245,7 @@ class StayFollower:
         order = _ORDERS.get(type(entry), "")
         if isinstance(entry, log_entries.SetPlace):
             order += " " + entry.place
-        elif isinstance(entry, (log_entries.CancelTask, log_entries.PrioritiseTask)):
+        elif isinstance(entry, log_entries.ABOUT_TASKS):
             order += " " + entry.id
         if order:
             self._moment(step.slot, robot, INTERVENTION, order)

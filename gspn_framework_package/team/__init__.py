@@ -3,7 +3,7 @@
 Modules: ``addressing``, ``agent``, ``carrier``, ``clock``, ``commands``, ``deploy_team``,
 ``deployed_plan``, ``flood_brake``, ``function_actions``, ``function_sources``, ``host``,
 ``job_runner``, ``jobs``, ``keys``, ``lanes``, ``log_file``, ``message_filter``,
-``operator_client``, ``orders``, ``own_process``, ``own_sockets``, ``patience``,
+``operator_client``, ``order_fields``, ``orders``, ``own_process``, ``own_sockets``, ``patience``,
 ``plan_examination``, ``router``, ``router_wait``, ``seal``, ``self_report``, ``sides``,
 ``status_reporter``, ``tcp_patience``, ``verdict``, ``zenoh_body``, ``zenoh_carrier``,
 ``zenoh_operator``, ``zenoh_session``, ``zenoh_watch``.

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Callable, Dict, List, Mapping, NamedTuple
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.model.errors import DataError, RefusedError
+from gspn_framework_package.team.order_fields import FieldKind, OrderField
 
 if TYPE_CHECKING:
     from gspn_framework_package.model.plan import Plan
@@ -31,92 +32,6 @@ ADOPT_TIME = 20.0
 
 PAGE, SUBMITTED = "page", "submitted"
 """Where an order comes from: the page, or anywhere else."""
-
-LONGEST_NUMBER = 18
-"""Most digits of a number in an argument."""
-
-
-class FieldKind(enum.Enum):
-    """What a field of an order holds; the value is its name for the page."""
-
-    ROBOT = "robot"
-    PLACE = "place"
-    TRANSITION = "transition"
-    ENTRANCE = "entrance"
-    """A transition by which tasks come in."""
-    TEXT = "text"
-    ID = "id"
-    NUMBER = "number"
-    NAMES = "names"
-    OBJECT = "object"
-
-
-_TYPES: Dict[FieldKind, Tuple[Tuple[type, ...], str]] = {
-    FieldKind.ID: ((str, int), "text or a whole number"),
-    FieldKind.NUMBER: ((int,), "a whole number"),
-    FieldKind.NAMES: ((list,), "a list of names"),
-    FieldKind.OBJECT: ((dict,), "a JSON object"),
-}
-"""The types of a kind in Python, and in words; the other kinds are text."""
-
-
-class OrderField(NamedTuple):
-    """A field of an order.
-
-    :ivar help: what it is, on the command line.
-    :ivar default: its value if it is not given; a function is called with the source of the order.
-    :ivar label: what it is, on the page.
-    :ivar placeholder: what the page shows in its place while it is empty.
-    """
-
-    name: str
-    kind: FieldKind
-    help: str = ""
-    required: bool = True
-    default: Any = ""
-    label: str = ""
-    placeholder: str = ""
-
-    def value(self, given: Any, source: str, plan: Optional[Plan]) -> Any:
-        """The value of the field, checked; see :meth:`OrderKind.values`."""
-        if self.kind is FieldKind.ID and isinstance(given, str):
-            given = given.strip()
-        if given is None or given == "":
-            if self.required:
-                raise DataError("'%s' is missing" % self.name)
-            return self.default(source) if callable(self.default) else self.default
-        types, words = _TYPES.get(self.kind, ((str,), "text"))
-        fits = isinstance(given, types) and not isinstance(given, bool)
-        if self.kind is FieldKind.NAMES and fits:
-            fits = all(isinstance(name, str) for name in given)
-        if not fits:
-            raise DataError("'%s' is not %s but %.100r" % (self.name, words, given))
-        if plan is not None:
-            self._look_up(given, plan)
-        return given
-
-    def _look_up(self, name: Any, plan: Plan) -> None:
-        """:raises GspnError: the plan has no such place or transition."""
-        if self.kind is FieldKind.PLACE:
-            plan.net.place_number(name)
-        elif self.kind is FieldKind.TRANSITION:
-            plan.net.transition_number(name)
-        elif self.kind is FieldKind.ENTRANCE and name not in plan.submissions:
-            raise RefusedError(
-                "no tasks come in by '%s'" % name[:80],
-                hint="possible: %s" % (", ".join(plan.submissions) or "nothing"),
-            )
-
-    def read(self, text: str) -> Any:
-        """The value in an argument that holds only this field; not yet checked."""
-        if self.kind is FieldKind.NAMES:
-            from gspn_framework_package.execution.breakpoints import read_names
-
-            return read_names(text)
-        digits = text[1:] if text.startswith("-") else text
-        if self.kind is FieldKind.NUMBER and digits.isdecimal() and len(digits) <= LONGEST_NUMBER:
-            return int(text)
-        return text
 
 
 class Form(NamedTuple):
@@ -386,9 +301,27 @@ ORDERS: Dict[str, OrderKind] = {
                 label="Priority",
                 placeholder="0",
             ),
+            OrderField(
+                "until",
+                FieldKind.TIME,
+                "if it still waits then, it is late, and nobody takes it any more: +10m, 17:30 or "
+                "2026-11-27T17:30 (default: it waits as long as it takes)",
+                required=False,
+                default=0,
+                label="Not begun after",
+                placeholder="+10m or 17:30",
+            ),
+            OrderField(
+                "replace",
+                FieldKind.ID,
+                "id of a task that is cancelled if the team takes this one in its place",
+                required=False,
+                label="Replaces the task",
+                placeholder="the id of none",
+            ),
         ),
-        lambda transition, id, data, priority: log_entries.make_submit(
-            transition, id, data, priority
+        lambda transition, id, data, priority, until, replace: log_entries.make_submit(
+            transition, id, data, priority, until, replace
         ),
         example="order --data task.json --id o12",
         note="If it is uncertain whether the team has the task (no answer in time), submit it "
@@ -429,6 +362,24 @@ ORDERS: Dict[str, OrderKind] = {
             title="Cancel task {id}?",
             text="If a robot has it, its action is cancelled, and the plan says where it goes.",
             confirm="Cancel the task",
+            style="danger",
+        ),
+    ),
+    "give_back": OrderKind(
+        "have the robot that has a task give it back to its queue",
+        (TASK_FIELD,),
+        lambda id: log_entries.GiveBack(log_entries.task_id(id)),
+        example="o12",
+        note="The plan says which queue it is (on_evict, for the place of the robot), and what the "
+        "robot does then (tasks.on_cancel).",
+        form=Form(
+            "task",
+            "Give back",
+            "The robot that has it gives it back to its queue",
+            "Give task {id} back",
+            title="Give task {id} back to its queue?",
+            text="The action of its robot is cancelled, and the plan says where the robot goes.",
+            confirm="Give it back",
             style="danger",
         ),
     ),

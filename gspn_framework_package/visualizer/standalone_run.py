@@ -59,6 +59,7 @@ ANSWERS = {
     "fire": "{transition} is fired",
     "submit": "task {id} enters by {transition}",
     "cancel": "task {id} is cancelled",
+    "give_back": "task {id} is given back",
     "prioritise": "task {id} has priority {priority}",
 }
 """The orders that become an entry of the log -> the answer to the page."""
@@ -207,10 +208,16 @@ class StandaloneRun(Activity, Listener):
             raise RefusedError("there is no agent '%s' in the run" % name[:80])
         if command == "retry" and robot is not None and robot.phase is not Phase.FAILED:
             raise RefusedError("the action of %s has not failed" % name)
-        if command in ("cancel", "prioritise"):
-            why = self._executor.state.why_not_one_task(str(values["id"]))
-            if why:
-                raise RefusedError(why)
+        why, about = "", values.get("id") if command != "submit" else values["replace"]
+        if about is not None and about != "":
+            why = self._executor.state.why_not_one_task(str(about))
+        if not why and command == "give_back":
+            team, game = self._executor.state, self._executor.game
+            why = game.why_not_given_back(team, team.tasks_with(str(about))[0])
+        if command == "submit" and values["until"]:
+            why = "a run on this server takes no tasks with a time limit"
+        if why:
+            raise RefusedError(why)
         if values.get("place") in self._plan.resource_places:
             raise RefusedError("'%s' is a resource place: no agent can be in it" % values["place"])
 

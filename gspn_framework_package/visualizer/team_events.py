@@ -282,4 +282,6 @@ def _deed(entry: log_entries.Entry) -> str:
         return "%s was moved to %s" % (entry.robot, entry.place)
     if isinstance(entry, log_entries.CancelTask):
         return "task %s was cancelled" % entry.id
+    if isinstance(entry, log_entries.GiveBack):
+        return "task %s was given back" % entry.id
     return ""

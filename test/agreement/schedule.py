@@ -56,8 +56,8 @@ KINDS = {
     "off before it has heard that it has to join",
     "tight": "short histories, small chunks and batches, snapshots every few slots; long runs",
     "amnesia": "logs are lost wherever the others still are a quorum, and nothing else but crashes",
-    "tasks": "operators cancel tasks and change their priorities all the time, also of robots that "
-    "crash, are evicted, leave or are moved",
+    "tasks": "operators cancel tasks, give them back, replace them and change their priorities all "
+    "the time, also of robots that crash, are evicted, leave or are moved; tasks wait too long",
     "calm": "nothing fails, so that orders meet a team that moves fast",
     "link": "one link is cut for longer than an eviction takes: nobody is evicted for that",
     "sleep": "all robots are stopped for longer than an eviction takes: nobody is evicted for that",
@@ -475,6 +475,9 @@ class _Run:
                 order = self.world.operator(log_entries.CancelTask(task), node)
                 self.cancelled.append((node, order, task))
                 self._count("cancel")
+            elif what < 0.8:
+                self.world.operator(log_entries.GiveBack(task), node)
+                self._count("give back")
             else:
                 priority = self.random.choice([-1, 0, 2, 9])
                 self.world.operator(log_entries.PrioritiseTask(task, priority), node)
@@ -740,6 +743,8 @@ class _Run:
             self._double()
         if world.plan.submissions:
             world.at(0.05, lambda: world.publish_tasks(0.05))
+        if world.steered:
+            world.at(0.05, lambda: world.tell_time(0.05))
         most = MOST_FAULTS.get(self.kind, 7)
         if self.kind == "link":
             world.weather = Weather()

@@ -603,13 +603,29 @@ class World:
             transition = self.random.choice(plan.submissions or self.plan.submissions)
             task = log_entries.Submit(transition, "t%d" % self.tasks, {"number": self.tasks})
             if self.steered:
-                task = task._replace(priority=self.random.choice([0, 0, 1, 5]))
+                task = self._steered(task)
             if self.random.random() < 0.2:
                 self.operator(task, self.random.choice(up))
             else:
                 for node in self.random.sample(up, self.random.randint(1, len(up))):
                     self._reach(node, task)
         self.at(self.now + 2 * every * self.random.random(), lambda: self.publish_tasks(every))
+
+    def _steered(self, task: log_entries.Submit) -> log_entries.Submit:
+        """A task with a priority, perhaps a time limit, or in place of another."""
+        task = task._replace(priority=self.random.choice([0, 0, 1, 5]))
+        if self.random.random() < 0.2:
+            late = 1000 * self.now + self.random.choice([1, 50, 300])
+            task = task._replace(until=int(late))
+        if self.random.random() < 0.15 and self.tasks > 1:
+            task = task._replace(replaces="t%d" % self.random.randint(1, self.tasks - 1))
+        return task
+
+    def tell_time(self, every: float) -> None:
+        """Tell every robot now and then what time it is, in ms; their clocks differ."""
+        for node in self.alive():
+            node.give(interface.TimeOfDay(int(1000 * self.now + self.random.choice([0, 0, 40]))))
+        self.at(self.now + every, lambda: self.tell_time(every))
 
     def _reach(self, node: SimulatedNode, task: log_entries.Submit) -> None:
         """Let a task reach a robot; note the log in which it now has to be."""

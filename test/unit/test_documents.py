@@ -31,7 +31,8 @@ from test_project_files import apt_packages
 
 import gspn_framework_package
 from gspn_framework_package.cli.main import _parser, all_verbs, main
-from gspn_framework_package.team.orders import ORDERS, FieldKind
+from gspn_framework_package.team.order_fields import FieldKind
+from gspn_framework_package.team.orders import ORDERS
 
 NOT_RUN = (
     (r"source /opt/ros/noetic/setup\.bash", "another distribution"),

@@ -98,6 +98,13 @@ class TaskCame(NamedTuple):
     task: Submit
 
 
+class TimeOfDay(NamedTuple):
+    """The time of day, in seconds since 1970, for tasks that wait no longer than until then. To be
+    given now and then while there are any."""
+
+    seconds: int
+
+
 class Order(NamedTuple):
     """An operator's order, given to this robot: ``entry`` is a Retry, Fire, Submit, Leave, Evict,
     SetPlace, Pause, Resume, Stop, StagePlan, Adopt or Unstage. Answered by an :class:`OrderResult`
@@ -152,6 +159,7 @@ Input = Union[
     AttemptFailed,
     EventObserved,
     TaskCame,
+    TimeOfDay,
     Order,
     OrderGiven,
     Examined,

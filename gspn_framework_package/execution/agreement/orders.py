@@ -170,9 +170,23 @@ class Orders:
             and robot.phase is not Phase.FAILED
         ):
             return "the action of %s did not fail" % name
-        if isinstance(entry, (log_entries.CancelTask, log_entries.PrioritiseTask)):
-            return state.ledger.state.why_not_one_task(entry.id)
+        if isinstance(entry, log_entries.ABOUT_TASKS):
+            return self._why_not_about_task(entry)
+        if (
+            isinstance(entry, log_entries.Submit)
+            and entry.replaces
+            and not self.reactions.has((entry.transition, entry.id))
+        ):
+            return state.ledger.state.why_not_one_task(entry.replaces)
         return self._why_not_deployed(entry)
+
+    def _why_not_about_task(self, entry: log_entries.TaskOrder) -> str:
+        """Why an order about a task is not possible at present; "" if it is."""
+        team = self.state.ledger.state
+        why = team.why_not_one_task(entry.id)
+        if not why and isinstance(entry, log_entries.GiveBack):
+            why = self.state.ledger.game.why_not_given_back(team, team.tasks_with(entry.id)[0])
+        return why
 
     def _why_not_deployed(self, entry: log_entries.Entry) -> str:
         """Why an order about another plan is not possible at present; "" if it is."""
@@ -181,14 +195,15 @@ class Orders:
             try:
                 log_entries.checked(entry)
                 staged = StagedPlan(0, entry.digest, entry.plan, entry.mapping)
-                new = plan_change.plan_of(staged)
+                proposed = plan_change.plan_of(staged)
             except GspnError as error:
                 return "the plan cannot be staged: %s" % error
-            return "; ".join(plan_change.why_never(present, new, entry.mapping))
+            return "; ".join(plan_change.why_never(present, proposed, entry.mapping))
         if isinstance(entry, log_entries.Unstage) and team.staged is None:
             return "no plan is staged"
         if isinstance(entry, log_entries.Adopt):
-            return "; ".join(plan_change.why_not_adopted(team, present, entry.stage)[0])
+            why, new = plan_change.why_not_adopted(team, present, entry.stage)
+            return "; ".join(why or plan_change.tasks_in_hand(team, new))
         return ""
 
     def _why_not_force(self, name: str, robot: Optional[RobotState]) -> str:

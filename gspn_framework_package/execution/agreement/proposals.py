@@ -25,6 +25,9 @@ from gspn_framework_package.execution.ledger import Item, Origin
 from gspn_framework_package.execution.team_tasks import TASK_CANCELLED
 from gspn_framework_package.execution.token_game import Step
 
+PARTING = (log_entries.SetPlace, log_entries.Leave, log_entries.Evict, log_entries.Stop)
+"""The orders by which a robot may part with its task; the answer says what becomes of it."""
+
 
 class ProposalQueue:
     """The waiting proposals. Those of one robot stay in the order of their numbers."""
@@ -119,8 +122,12 @@ class ProposalQueue:
         entry = own.item.entry
         why = self._without_effect(entry, step)
         text = "done, in slot %d of the log" % slot
-        if isinstance(entry, (log_entries.CancelTask, log_entries.PrioritiseTask)):
+        if isinstance(entry, log_entries.ABOUT_TASKS):
             text = self._about_task(entry)
+        elif isinstance(entry, PARTING) and step is not None:
+            who = getattr(entry, "robot", "")
+            faults = [c for c in step.commands if isinstance(c, Fault) and c.about_task]
+            text = "; ".join([text, *(c.message for c in faults if c.robot == who)])
         self.outbox.order_result(own.order_id, not why, why or text)
 
     def _about_task(self, entry: log_entries.TaskOrder) -> str:
@@ -129,18 +136,18 @@ class ProposalQueue:
         text = ledger.state.whereabouts(entry.id, ledger.game.net)
         if isinstance(entry, log_entries.PrioritiseTask):
             text = "priority %d: %s" % (entry.priority, text)
+        elif isinstance(entry, log_entries.GiveBack):
+            text = "the task was given back; " + text
         return text
 
     def _without_effect(self, entry: log_entries.Entry, step: Optional[Step]) -> str:
         """Why an order in the log had no effect; "" if it had one."""
-        if isinstance(entry, (log_entries.SetPlace, log_entries.Fire, log_entries.Adopt)):
-            return "; ".join(
-                c.message
-                for c in (step.commands if step is not None else ())
-                if isinstance(c, Fault)
-            )
+        faults = [c for c in (step.commands if step is not None else ()) if isinstance(c, Fault)]
+        why = "; ".join(c.message for c in faults if c.void == entry)
+        if why:
+            return why
         team = self.state.ledger.state
-        if isinstance(entry, log_entries.PrioritiseTask):
+        if isinstance(entry, (log_entries.GiveBack, log_entries.PrioritiseTask)):
             return team.why_not_one_task(entry.id)
         if isinstance(entry, log_entries.CancelTask):
             ended = team.end_of(entry.id)

@@ -22,6 +22,7 @@ from gspn_framework_package.execution.breakpoints import RobotBreakpoints
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.event_watch import EventWatch, Visit, asked_anew
 from gspn_framework_package.execution.team_state import OUTSIDE_LIMIT
+from gspn_framework_package.execution.team_tasks import TASK_CANCELLED
 from gspn_framework_package.model.errors import LogError
 
 OFFERED_LIMIT = 10_000
@@ -145,7 +146,7 @@ class Reactions:
             return str(error)
         assert isinstance(kept, log_entries.Submit)  # a duplicate of a task that we keep
         key = (task.transition, task.id)
-        if key not in state.offered and not self._has(key):
+        if key not in state.offered and not self.has(key):
             if len(state.offered) >= OFFERED_LIMIT:
                 return "%d tasks are already waiting for the team" % OFFERED_LIMIT
             self.outbox.persist({"kind": "offered", "entry": log_entries.to_json(kept)})
@@ -163,7 +164,7 @@ class Reactions:
         state = self.state
         if not state.offered:
             return
-        for key in [key for key in state.offered if self._has(key)]:
+        for key in [key for key in state.offered if self.has(key)]:
             del state.offered[key]
             self._answer(key, self._orders.pop(key, []))
         for key in [key for key in state.offered if state.ledger.entrance(key[0]) is None]:
@@ -187,7 +188,7 @@ class Reactions:
             ):
                 self.proposals.propose(task)
 
-    def _has(self, key: Tuple[str, str]) -> bool:
+    def has(self, key: Tuple[str, str]) -> bool:
         """Whether the team has a task."""
         transition, task = key
         ledger = self.state.ledger
@@ -208,8 +209,26 @@ class Reactions:
             "it waits until '%s' is enabled" % key[0] if waits else team.whereabouts(key[1], net)
         )
         text = "the team has the task; " + where
+        ended = team.end_of(key[1])
+        taken = ended is None or ended.outcome != TASK_CANCELLED
         for order in orders:
-            self.outbox.order_result(order, True, text)
+            self.outbox.order_result(order, taken, text if taken else where)
+
+    def cancel_late(self, seconds: int) -> None:
+        """Propose that tasks whose time is over be cancelled, if that is up to us.
+
+        :param seconds: the time of day, in seconds since 1970.
+        """
+        state = self.state
+        over = state.ledger.state.ended is not None
+        if over or not state.active or not self.electorate.is_first_running():
+            return
+        asking = [own.item.entry for own in state.own_proposals.asking]
+        for found in state.ledger.state.tasks():
+            if 0 < found.task.until <= seconds and not found.robot:
+                late = log_entries.CancelTask(found.task.id, late=True)
+                if late not in asking:
+                    self.proposals.propose(late)
 
     def _refuse_orders(self, why: str) -> None:
         orders, self._orders = self._orders, {}

@@ -198,6 +198,8 @@ class Replica:
             why = self.reactions.take_task(given.task)
             if why:
                 self.outbox.fault("task %s is refused: %s" % (given.task.id, why))
+        elif isinstance(given, interface.TimeOfDay):
+            self.reactions.cancel_late(given.seconds)
         elif isinstance(given, interface.Order):
             self.orders.order(given)
         elif isinstance(given, interface.OrderGiven):

@@ -105,11 +105,12 @@ class Cargo:
 
     # -- entries -----------------------------------------------------------------------------------
 
-    def comes(self, entry: log_entries.Submit, gone: Sequence[str] = ()) -> None:
+    def comes(self, entry: log_entries.Submit, gone: Sequence[str] = ()) -> str:
         """Handle an arriving task. A task that arrived before does not count, unless it was
         submitted again after its robot was gone.
 
         :param gone: the names of robots that are gone.
+        :returns: the id of the task that it replaces; "" if none.
         """
         key = entry.transition, entry.id
         comes_again = False
@@ -118,25 +119,31 @@ class Cargo:
             holders = [r for r in gone if r in self.carried and self.carried[r].id == entry.id]
             comes_again = entry.again and len(ways) == 1 and bool(holders)
             if not comes_again:
-                return
+                return ""
         if entry.transition not in self.entrances:
-            return
+            return ""
         if len(self.outside) >= MOST_OUTSIDE and MOST_OUTSIDE <= sum(
             t == entry.transition for t, _ in self.outside
         ):
-            return
+            return ""
+        replaced = entry.replaces if self.find(entry.replaces)[0] else ""
         ids = self._known.setdefault(entry.transition, [])
         if comes_again:
             del self.carried[holders[0]]
             ids.remove(entry.id)
         ids.append(entry.id)
         self._known_set.add(key)
-        self.outside.append((entry.transition, LoggedTask(entry.id, entry.data, entry.priority)))
-        self._in_order()
+        if replaced == entry.replaces:  # otherwise it is not taken: what it replaces has ended
+            self._waits(entry)
         while len(ids) > REMEMBERED_TASKS:
             if (entry.transition, ids[0]) in [(t, task.id) for t, task in self.outside]:
                 break
             self._known_set.discard((entry.transition, ids.pop(0)))
+        return replaced
+
+    def _waits(self, entry: log_entries.Submit) -> None:
+        self.outside.append((entry.transition, LoggedTask(entry.id, entry.data, entry.priority)))
+        self._in_order()
 
     def _in_order(self, place: str = "") -> None:
         """Put the tasks of a queue, or those outside, in order; equal ones stay as they are."""

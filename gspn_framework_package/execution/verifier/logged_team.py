@@ -251,9 +251,13 @@ class LoggedTeam:
         elif isinstance(entry, log_entries.Interrupt):
             return self._event(entry)
         elif isinstance(entry, log_entries.Submit):
-            self.cargo.comes(entry, [r.name for r in self.robots.values() if not r.here])
+            gone = [r.name for r in self.robots.values() if not r.here]
+            self._cancel(self.cargo.comes(entry, gone))
         elif isinstance(entry, log_entries.CancelTask):
-            self._cancel(entry.id)
+            if not (entry.late and self.cargo.find(entry.id)[0] == "robot"):
+                self._cancel(entry.id)
+        elif isinstance(entry, log_entries.GiveBack):
+            self._give_back(entry.id)
         elif isinstance(entry, log_entries.PrioritiseTask):
             self.cargo.prioritise(entry.id, entry.priority)
         elif isinstance(entry, log_entries.Join):
@@ -295,6 +299,23 @@ class LoggedTeam:
             self.marking[where] -= 1
         elif kind == "robot" and self.robots[where].here:
             self._loses_task(self.robots[where])
+
+    def _give_back(self, task_id: str) -> None:
+        """A robot gives its task back to a queue, and goes on without it."""
+        kind, name = self.cargo.find(task_id)
+        robot = self.robots.get(name if kind == "robot" else "")
+        if robot is None or not robot.here:
+            return
+        returned = {
+            q: n
+            for q, n in self.plan.on_evict.get(robot.place, {}).items()
+            if q in self.cargo.queues
+        }
+        for queue, n in returned.items():
+            self.marking[queue] += n
+            self.cargo.returned(robot.name, queue, n)
+        if returned:
+            self._loses_task(robot)
 
     def _loses_task(self, robot: LoggedRobot) -> None:
         rule = self.plan.tasks.on_cancel

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +14,7 @@ from test_reacting_replica import ERRANDS, Team, restart
 
 from agreement.plans import make_plan as agreement_plan
 from gspn_framework_package.cli.tasks import lines
-from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution import log_entries, plan_change
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.displayed_data import displayed_tasks
 from gspn_framework_package.execution.firing import CancelAction, Fault
@@ -23,6 +25,8 @@ from gspn_framework_package.model.errors import DataError, PlanError
 from gspn_framework_package.model.event import Tasks
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.team.order_fields import seconds_of
+from gspn_framework_package.team.orders import ORDERS
 
 
 def net_with_way_out() -> Net:
@@ -140,6 +144,41 @@ def test_tasks_of_higher_priority_come_first() -> None:
     assert waiting(run) == ["o4", "o2", "o3", "o1"]
 
 
+def test_a_task_in_a_robots_hands_is_given_back() -> None:
+    run = shop(on_cancel={"Deliver": "give_up"}, robots=2)
+    run.feed(submit("o1"), submit("o2"), submit("o3"))
+    run.feed(log_entries.Pause("a"))
+    assert run.feed(log_entries.GiveBack("o1")) == []  # it is paused, and asks for give_up
+    assert waiting(run) == ["o1", "o3"]
+    assert run.feed(log_entries.Resume("a")) == ["give_up", "take"]
+    assert run.state.robots["a"].task.id == "o1" and run.state.robots["a"].task.attempts == 2
+    before = len(run.commands)
+    run.feed(log_entries.GiveBack("o3"))  # nobody has it
+    said = [c.message for c in run.commands[before:] if isinstance(c, Fault)]
+    assert said == ["task o3 was not given back: no robot has it; it is in Orders"]
+
+
+def test_a_task_is_replaced() -> None:
+    run = shop(on_cancel={"Deliver": "give_up"})
+    run.feed(submit("o1"), submit("o2"))
+    other = submit("o3")._replace(replaces="o1")
+    assert run.feed(other, other) == ["give_up", "take", "order"]
+    assert ended(run) == [("o1", "cancelled")]
+    assert run.state.ended_tasks[0].why == "replaced by o3; with a in Deliver"
+    # what it replaces has ended: it is not taken
+    assert run.feed(submit("o4")._replace(replaces="o1")) == []
+    assert waiting(run) == ["o3"] and ended(run)[-1] == ("o4", "cancelled")
+
+
+def test_a_task_that_still_waits_when_its_time_is_over_is_late() -> None:
+    run = shop(idle=False)
+    run.feed(submit("o1"), submit("o2"))
+    run.done("a")
+    late = [log_entries.CancelTask(task, late=True) for task in ("o1", "o2")]
+    run.feed(*late, *late)  # a robot has o1 in hand: it was begun in time
+    assert ended(run) == [("o2", "late")] and run.state.robots["a"].task.id == "o1"
+
+
 def test_a_team_says_where_its_tasks_are() -> None:
     run = shop(robots=2)
     run.feed(submit("o1")._replace(since=5), submit("o2"), submit("o3"))
@@ -216,3 +255,78 @@ def test_an_operator_hears_what_became_of_a_task(partial: bool) -> None:
     restart(world.nodes["r1"])
     assert len(world.entries("cancel")) == 1
     world.check()
+
+
+def test_an_order_that_parts_a_robot_from_its_task_says_what_becomes_of_it() -> None:
+    world = errands()
+    world.submit("r1", 1)
+    world.done("r1", "look")
+    world.done("r1", "home")
+    given = result(world, "r2", log_entries.SetPlace("r1", "Charge"))
+    assert given.ok and "task" not in given.text  # it still has it there
+    given = result(world, "r2", log_entries.SetPlace("r1", "Roam"))
+    assert given.ok and given.text.endswith("; returns task t1 to orders")
+    given = result(world, "r2", log_entries.GiveBack("t1"))
+    assert not given.ok and given.text == "no robot has it; it is in orders"
+    given = result(world, "r2", log_entries.Stop("enough"))
+    assert given.ok and given.text.endswith("the run ends with 1 unfinished tasks: t1 in orders")
+
+
+def test_the_first_running_robot_cancels_what_waits_too_long() -> None:
+    world = errands()
+    world.give("r2", interface.TaskCame(submit("t1")._replace(until=100)))
+    for name in ("r2", "r1"):
+        world.nodes[name].give(interface.TimeOfDay(99))
+    world.run(world.now + 1.0)
+    assert world.entries("cancel") == []
+    for name in ("r2", "r1", "r1"):
+        world.nodes[name].give(interface.TimeOfDay(100))
+    world.run(world.now + 1.0)
+    assert [e["late"] for e in world.entries("cancel")] == [True]
+    given = result(world, "r1", log_entries.Submit("order", "t1"))
+    assert given.text.endswith("it was late (it waited too long; in orders)")
+    world.check()
+
+
+def test_a_plan_without_queues_is_not_adopted_while_a_robot_has_a_task() -> None:
+    run = shop()
+    run.feed(submit("o1"))
+    plan = run.game.plan
+    new = replace(plan, tasks=Tasks(), on_evict={}).validate()
+    (why,) = plan_change.tasks_in_hand(run.state, new)
+    assert why.startswith("a has task o1, but the new plan has no queue")
+    assert plan_change.tasks_in_hand(run.state, plan) == []
+
+
+def test_an_operator_replaces_a_task_once() -> None:
+    world = errands()
+    world.submit("r1", 1)
+    other = log_entries.Submit("order", "t2", replaces="t1")
+    assert result(world, "r1", other).text == "the team has the task; it is in orders"
+    assert result(world, "r2", other).ok  # asked again
+    given = result(world, "r2", other._replace(id="t3"))
+    assert not given.ok and "t1" in given.text
+    world.check()
+
+
+# -- what an operator writes -----------------------------------------------------------------------
+
+
+def test_times_are_read() -> None:
+    now = time.mktime((2026, 11, 27, 12, 0, 0, 0, 0, -1))
+    assert seconds_of("+90s", now) - now == 90 and seconds_of("+2h", now) - now == 7200
+    assert seconds_of("12:30", now) - now == 1800
+    assert seconds_of("11:30", now) - now == 23.5 * 3600  # tomorrow
+    assert seconds_of("2026-11-27T12:01", now) - now == 60
+    for text in ("", "soon", "+5", "+5y", "+xm", "25:00", "2026-13-01T00:00", "+" + "9" * 40 + "d"):
+        with pytest.raises(DataError, match="is not a time"):
+            seconds_of(text, now)
+
+
+def test_the_command_of_a_task_has_all_fields() -> None:
+    kind = ORDERS["submit"]
+    argument = json.dumps({"transition": "order", "id": 7, "until": 1000, "replace": 6})
+    given = kind.entry(**kind.read("", argument, "r1"))
+    assert given == log_entries.Submit("order", "7", {}, until=1000, replaces="6")
+    with pytest.raises(DataError, match="cannot replace itself"):
+        kind.entry(**kind.read("", argument.replace("6}", "7}"), "r1"))

@@ -2,7 +2,8 @@
 
 from gspn_framework_package.execution.log_entries import Submit, make_submit
 from gspn_framework_package.model.errors import DataError
-from gspn_framework_package.team.orders import ROBOT_FIELD, FieldKind, Form, OrderField, OrderKind
+from gspn_framework_package.team.order_fields import FieldKind, OrderField
+from gspn_framework_package.team.orders import ROBOT_FIELD, Form, OrderKind
 
 
 def greeting(robot: str, whom: str) -> Submit:
