@@ -254,6 +254,25 @@ class ReportWork:
         self.measures(Part.BEHAVIOUR)
         self._by_tree()
         count_instead(self.analysis, self.data, self.undecided)
+        dead = self.data["deadlocks"]
+        if dead is None or dead["marking"] is not None and dead["witness"] is None:
+            self._deadlocks_by_proof()
+
+    def _deadlocks_by_proof(self) -> None:
+        # few nets need it, nor the solver that it imports
+        from gspn_framework_package.analysis.proofs.answers import dead_marking
+
+        found, counted = dead_marking(self.analysis), self.data["deadlocks"]
+        if found is None:
+            return
+        if counted is not None:
+            found["count"] = counted["count"]
+        self.data["deadlocks"] = found
+        reason = self.undecided.pop("deadlocks", "")
+        if found["count"] is None:
+            self.undecided["deadlocks.count"] = reason
+            self.data["live"] = False
+            self.undecided.pop("live", None)
 
     def _deadlocks(self) -> None:
         space = self.analysis.space
@@ -297,7 +316,9 @@ class ReportWork:
 
         :param find: decides it; None: the analysis does.
         """
-        self._search("reach", condition, lambda: (find or self.analysis.reach)(condition))
+        self._search(
+            "reach", condition, condition, lambda: (find or self.analysis.reach)(condition)
+        )
 
     def cover(
         self,
@@ -309,13 +330,21 @@ class ReportWork:
         :param find: decides it; None: the analysis does.
         """
         text = ",".join("%s=%d" % item for item in marking.items())
-        self._search("cover", text, lambda: (find or self.analysis.cover)(marking))
+        self._search(
+            "cover", text, at_least(marking), lambda: (find or self.analysis.cover)(marking)
+        )
 
-    def _search(self, question: str, what: str, find: Callable[[], Reachability]) -> None:
+    def _search(
+        self, question: str, what: str, condition: str, find: Callable[[], Reachability]
+    ) -> None:
         key = "%s.%s" % (question, what)
 
         def compute() -> Dict[str, Any]:
             found = find()
+            if found.reachable is None:
+                from gspn_framework_package.analysis.proofs.answers import can_hold
+
+                found = can_hold(self.analysis, condition) or found
             if found.reachable is None:
                 extent = self.analysis.space.extent
                 self.undecided[key] = "not found within %s, which are not all" % extent

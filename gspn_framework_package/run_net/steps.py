@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
@@ -43,6 +43,10 @@ class RunStep(NamedTuple):
     target: State
     label: int
     value: float
+
+
+_BLOCK = 1 << 12
+"""Number of states whose counts are in one array, as eight bytes each."""
 
 
 class Steps:
@@ -109,13 +113,24 @@ class Steps:
 
     def markings(self, states: Sequence[State]) -> np.ndarray:
         """The markings of states, one row each."""
-        return np.add.reduceat(self.counts(states), self.run_net.first_columns, axis=1)
+        first = self.run_net.first_columns
+        return self._blocks(states, lambda counts: np.add.reduceat(counts, first, axis=1))
 
-    def counts(self, states: Sequence[State]) -> np.ndarray:
-        """The counts in the columns of states, one row each."""
-        first = self.run_net.begin[0][0]
-        counts = np.array([state or first for state in states], dtype=np.int64)
-        return counts.reshape(len(states), -1)
+    def counts(self, states: Sequence[State], columns: Sequence[int]) -> np.ndarray:
+        """The counts in some columns of states, one row each."""
+        return self._blocks(states, lambda counts: counts[:, columns])
+
+    def _blocks(
+        self, states: Sequence[State], of: Callable[[np.ndarray], np.ndarray]
+    ) -> np.ndarray:
+        """Rows of the counts in all columns, which would take much memory at once."""
+        start = self.run_net.begin[0][0]
+        found = []
+        for first in range(0, len(states), _BLOCK):
+            block = [state or start for state in states[first : first + _BLOCK]]
+            counts = np.array(block, dtype=np.int64).reshape(len(block), -1)
+            found.append(of(counts).astype(np.int32))
+        return np.concatenate(found)
 
     def _settle(self, state: State) -> State:
         found = self._settled.get(state)

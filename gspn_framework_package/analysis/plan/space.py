@@ -223,7 +223,7 @@ class _Exploration:
         targets: List[int] = []
         labels: List[int] = []
         values: List[float] = []
-        bytes_per_state = 16 * run_net.width + _STATE_BYTES
+        bytes_per_state = 24 * run_net.width + _STATE_BYTES
         explored = 0
         while explored < len(order) <= self._limit:
             at_once, found = steps.expand(order[explored])
@@ -257,7 +257,7 @@ class _Exploration:
         named = run_net.named_columns
         part_counts = None
         if named:
-            part_counts = steps.counts(order)[:, [column for column, _ in named]]
+            part_counts = steps.counts(order, [column for column, _ in named])
             part_counts = part_counts.astype(np.min_scalar_type(part_counts.max()))
         return PlanSpace(
             run_net.net,

@@ -2,5 +2,6 @@
 
 Modules: ``ladder`` (decides a question, step by step), ``questions`` (what is asked, as facts about
 markings), ``prover`` and ``witness`` (search for proofs, and for firings that lead to a marking),
-``checker`` (checks proofs, and needs neither NumPy nor a solver).
+``checker`` (checks proofs, and needs neither NumPy nor a solver), ``answers`` (what they add to a
+report).
 """

@@ -14,6 +14,7 @@ from generated_nets import bounded_nets
 from generated_plans import small_plans, with_events
 from hypothesis import given, settings
 
+from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.plan.markings import PlanMarkings
 from gspn_framework_package.analysis.preflight import MARKING_LIMIT, check
 from gspn_framework_package.analysis.preflight.markings import MARKINGS_BEFORE_PROOFS
@@ -39,6 +40,7 @@ from gspn_framework_package.analysis.proofs.questions import (
     formula_of,
     problem_of,
 )
+from gspn_framework_package.analysis.report import Questions, report
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.making.site_plan import build_site_plan
 from gspn_framework_package.model.action import FunctionAction
@@ -310,6 +312,27 @@ def test_who_can_only_be_stuck_after_a_loss_is_told_so():
     assert item.severity is Severity.OK and "as long as no robot is lost" in item.text
     (lost,) = report.of("dead_after_loss")
     assert any(name.startswith("(robot lost in") for name in lost.details["sequence"])
+
+
+def test_a_report_has_what_proofs_and_searches_find_beyond_its_limit():
+    table = NetBuilder("philosophers")
+    for i in range(12):
+        table.place("fork%d" % i, tokens=1).place("thinks%d" % i, tokens=1)
+        table.place("left%d" % i).place("eats%d" % i)
+    for i in range(12):
+        forks = ["fork%d" % i, "fork%d" % ((i + 1) % 12)]
+        table.exponential("take%d" % i, inputs=["thinks%d" % i, forks[0]], outputs="left%d" % i)
+        table.exponential("more%d" % i, inputs=["left%d" % i, forks[1]], outputs="eats%d" % i)
+        table.exponential("end%d" % i, inputs="eats%d" % i, outputs=["thinks%d" % i, *forks])
+    net = table.build()
+    asked = Questions(rewards={}, reach=("eats0 + eats1 >= 2", "eats0 + eats2 + eats4 >= 3"))
+    data = report(Analysis(net, limit=50), asked)
+    assert [found["reachable"] for found in data["reach"]] == [False, True]
+    marking = net.initial_marking
+    for name in data["deadlocks"]["witness"]:
+        marking = net.fire(marking, net.transition_number(name))
+    assert net.named(marking, zeros=False) == data["deadlocks"]["marking"]
+    assert not net.enabled(marking) and data["deadlocks"]["count"] == 1
 
 
 # -- conditions ------------------------------------------------------------------------------------

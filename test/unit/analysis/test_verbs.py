@@ -145,9 +145,14 @@ def test_what_is_not_decided_is_null_with_its_reason(run, saved):
     code, out, _ = run("analyse", saved(net), "--json", "--limit", 200, "--reach", "end >= 1")
     data = json.loads(out)
     assert code == 1 and data["bounded"] is False and data["bounds"]["heap"] == "infinite"
-    for key in ("states", "deadlocks", "liveness", "reversible", "steady_state"):
+    for key in ("states", "liveness", "reversible", "steady_state"):
         assert data[key] is None and data["undecided"][key]
-    assert data["reach"][0]["reachable"] is None and "reach.end >= 1" in data["undecided"]
+    assert data["deadlocks"]["count"] == 0 and data["reach"][0]["reachable"] is False, "by proofs"
+    code, out, _ = run(
+        "analyse", saved(net), "--json", "--limit", 200, "--reach", "heap * a >= 999"
+    )
+    data = json.loads(out)
+    assert data["reach"][0]["reachable"] is None and "reach.heap * a >= 999" in data["undecided"]
     assert data["dead_transitions"] == ["x", "y"] and data["live"] is False
 
 
