@@ -37,8 +37,8 @@ rm -rf "$INSTALLED"
 log=$WORKSPACE/install.log
 make -C "$CATKIN_WS/build" --no-print-directory install >"$log" 2>&1 || { tail -n 20 "$log"; die "installation failed"; }
 
-for package in $PACKAGE gspn; do
-    same_files "$package" "$ROOT/$package" "$SITE/$package"
+for part in $PACKAGE gspn; do
+    same_files "$part" "$ROOT/$part" "$SITE/$part"
 done
 for folder in launch plans; do
     same_files "$folder" "$ROOT/$folder" "$SHARE/$folder"
@@ -74,12 +74,14 @@ if . /etc/os-release && [ "${VERSION_CODENAME:-}" = bookworm ]; then
     rm -rf "$ASIDE/deb"
     deb=$("$ROOT/scripts/make_deb" "$ASIDE/deb") || die "scripts/make_deb fails"
     dpkg-deb -x "$deb" "$ASIDE/deb/root"
-    for package in $PACKAGE gspn; do
-        same_files "deb: $package" "$ROOT/$package" "$ASIDE/deb/root/usr/lib/python3/dist-packages/$package"
+    for part in $PACKAGE gspn; do
+        same_files "deb: $part" "$ROOT/$part" "$ASIDE/deb/root/usr/lib/python3/dist-packages/$part"
     done
     for folder in launch plans; do
         same_files "deb: $folder" "$ROOT/$folder" "$ASIDE/deb/root/usr/share/$PACKAGE/$folder"
     done
+    bash -n "$ASIDE/deb/root/usr/share/bash-completion/completions/gspn" || die "the completion for bash is no script"
+    zcat "$ASIDE/deb/root/usr/share/man/man1/gspn.1.gz" | grep -q "^.SS simulate" || die "the manual page is not whole"
     only_product "the Debian package" < <(find "$ASIDE/deb/root" -type f -printf '%P\n')
     cmp <(dpkg-deb -f "$deb" Version) <(echo "$(cd "$ROOT" && /usr/bin/python3 setup.py --version)-1") || die "another version"
 fi
@@ -103,8 +105,8 @@ pip=("-m" pip --disable-pip-version-check)
     >"$log" 2>&1 || { tail -n 20 "$log"; die "pip does not install the package"; }
 only_product "the wheel" < <("$EMPTY/bin/python" -m zipfile -l "$CHECKOUT"/dist/*.whl | awk '{ print $1 }')
 SITE=$(echo "$EMPTY"/lib/python3*/site-packages)
-for package in $PACKAGE gspn; do
-    same_files "$package, by pip" "$ROOT/$package" "$SITE/$package"
+for part in $PACKAGE gspn; do
+    same_files "$part, by pip" "$ROOT/$part" "$SITE/$part"
 done
 same_files "plans, by pip" "$ROOT/plans" "$SITE/$PACKAGE/plans" -not -path './runs/*'
 for page in README.md docs/{five_minutes,first_plan,migration}.md; do

@@ -207,6 +207,14 @@ VERB_GROUPS: Dict[str, Dict[str, Verb]] = {
             "mcp my_plans",
         ),
     },
+    "this command": {
+        "completion": Verb(
+            ".completion",
+            "print what lets bash or zsh complete verbs, options and their values",
+            "completion bash",
+        ),
+        "man": Verb(".man", "print a manual page with all verbs and options", "man"),
+    },
     OPERATE: {
         "deploy": Verb(
             ".deploy",
@@ -280,12 +288,22 @@ def _run(words: Sequence[str], interrupts: Interrupts) -> int:
     try:
         args, unknown = _parser(words).parse_known_args(words)
         if unknown:
-            args.parser.error("unrecognized arguments: %s" % " ".join(unknown))
+            args.parser.error(
+                "unrecognized arguments: %s%s" % (" ".join(unknown), _meant(args.parser, unknown))
+            )
     except SystemExit as leaving:  # --help, --version or wrong usage, which argparse reported
         return leaving.code if isinstance(leaving.code, int) else EXIT_USAGE
     interrupts.verb_has_begun = True
     allow_modules(getattr(args, "modules", ()))
     return int(args.run(args))
+
+
+def _meant(parser: argparse.ArgumentParser, unknown: Sequence[str]) -> str:
+    """The options that were probably meant, for an error message; "" if none is similar."""
+    known = [text for action in parser._actions for text in action.option_strings]
+    options = (word.partition("=")[0] for word in unknown if word.startswith("--"))
+    close = [found for word in options for found in difflib.get_close_matches(word, known, 1)]
+    return " (did you mean %s?)" % " or ".join(close) if close else ""
 
 
 def _explain(error: Exception) -> Tuple[str, int]:
@@ -355,17 +373,31 @@ def _parser(words: Sequence[str]) -> _Parser:
     for name, entry in known.items():
         verb = verbs.add_parser(name, parents=[common], allow_abbrev=False)
         if name == asked:
-            verb.description = entry.help
-            loaded = entry.load()
-            if hasattr(loaded, "add_arguments"):
-                loaded.add_arguments(verb)
-            else:
-                add_options(verb, loaded.OPTIONS)
-                verb.epilog = getattr(loaded, "EPILOG", None)
-            if entry.example:
-                verb.epilog = "%s Example: gspn %s" % (verb.epilog or "", entry.example)
-            verb.set_defaults(run=loaded.run, parser=verb)
+            _complete(verb, entry)
     return parser
+
+
+def _complete(parser: argparse.ArgumentParser, entry: Union[Verb, OrderVerb]) -> None:
+    """Declare the arguments of a verb on its parser."""
+    parser.description = entry.help
+    loaded = entry.load()
+    if hasattr(loaded, "add_arguments"):
+        loaded.add_arguments(parser)
+    else:
+        add_options(parser, loaded.OPTIONS)
+        parser.epilog = getattr(loaded, "EPILOG", None)
+    if entry.example:
+        parser.epilog = "%s Example: gspn %s" % (parser.epilog or "", entry.example)
+    parser.set_defaults(run=loaded.run, parser=parser)
+
+
+def parsers() -> Dict[str, argparse.ArgumentParser]:
+    """Verb -> its parser, of all verbs."""
+    found: Dict[str, argparse.ArgumentParser] = {}
+    for name, entry in all_verbs().items():
+        found[name] = _Parser(prog="gspn " + name, allow_abbrev=False)
+        _complete(found[name], entry)
+    return found
 
 
 def _verbs_text(known: Mapping[str, Union[Verb, OrderVerb]]) -> str:
