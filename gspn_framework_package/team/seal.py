@@ -13,7 +13,9 @@ name. Numbers grow within a session and addressee, and each is accepted once; a 
 only if the message is at most :data:`FRESH` seconds old. It thus refuses older sessions, and
 recordings made before it restarted. For a receiver that has just started, more recent recordings
 are the same as delayed messages, which the agreement tolerates. Orders may not be delayed: an order
-must be fresh, is accepted once, and must be younger than the receiver's process.
+must be fresh, is accepted once, and must be younger than the receiver's process. Where the sender's
+clock is ahead, the receiver cannot tell whether an order is older than its process by less than
+that.
 
 Anybody with the key can pose as any robot: the key keeps outsiders out, but identifies no sender.
 """
@@ -251,7 +253,10 @@ class Seal:
         sender, to = _name(words[5]), _name(words[6])
         if to not in ("", self._name):
             raise NotSealedError("a message for another robot", sender)
-        return _Line(words[2], int(words[3]), int(words[4]) / 1000.0, sender, to), body
+        try:
+            return _Line(words[2], int(words[3]), int(words[4]) / 1000.0, sender, to), body
+        except (ValueError, OverflowError):
+            raise NotSealedError("its number or time is no number", sender) from None
 
     def _code(self, purpose: str, line: str, body: str) -> str:
         return self._key.code(

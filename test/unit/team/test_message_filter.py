@@ -24,6 +24,20 @@ def test_a_flood_is_not_heard_until_it_ends_and_hurts_no_other_robot():
     assert messages.admits("flooder", 100, 3.0 + 1.01 * 1.0)
 
 
+def test_a_burst_that_is_used_up_comes_back_at_the_rate_of_the_limit():
+    messages = MessageFilter(1000)
+    assert all(messages.admits("r", 1, 0.0) for _ in range(int(FASTEST)))
+    assert sum(messages.admits("r", 1, 0.01) for _ in range(100)) == FASTEST * 0.01
+
+
+def test_who_floods_is_heard_again_only_after_a_silence():
+    for silence, heard in ((0.9, False), (1.1, True)):
+        messages = MessageFilter(1000)
+        for _ in range(int(3 * FASTEST)):
+            messages.admits("r", 1, 0.0)
+        assert messages.admits("r", 1, silence) is heard
+
+
 def test_large_messages_are_refused_unread():
     messages = MessageFilter(1000)
     assert messages.admits("r", 1000, 0.0)

@@ -94,6 +94,45 @@ def test_no_order_of_arrival_lets_one_in_twice(order):
     assert len(opened) == len(set(opened))
 
 
+def test_what_was_recorded_before_the_first_message_that_came_does_not_count():
+    sender, receiver = seal("b"), seal("a")
+    texts = [sender.close("", str(n), "said") for n in range(WINDOW)]
+    receiver.open(texts[-1], "said")
+    for text in texts[:-1]:
+        assert why_not(receiver, text) == "a repeated message"
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_clocks_may_differ_by_so_much_and_no_more(sign):
+    clock = Clock()
+    robot = seal("a", clock=clock)
+    clock.now += 10 * FRESH
+    near, far = (seal("b", clock=Clock(clock.now + sign * by)) for by in (FRESH, FRESH + 1))
+    assert robot.open(near.close("", "body", "said"), "said").body == "body"
+    assert robot.open_order(near.close("a", "stop", "order"), "order").body == "stop"
+    assert "the clocks differ" in why_not(robot, far.close("", "body", "said"))
+    with pytest.raises(NotSealedError, match="the clocks differ"):
+        robot.open_order(far.close("a", "stop", "order"), "order")
+
+
+def test_nothing_that_is_sealed_runs_into_what_follows():
+    """The code covers where the run and the purpose end."""
+    forged = "not sealed with the key of this team and run"
+    magic, code, session, rest = seal("b").close("", "body", "said").split(" ", 3)
+    moved = " ".join([magic, code, session[1:], rest])
+    assert why_not(seal("a"), moved, "said" + session[0]) == forged
+    magic, code, session, rest = seal("b", run="x1:y").close("", "body", "said").split(" ", 3)
+    moved = " ".join([magic, code, "4:said" + session, rest])
+    assert why_not(seal("a", run="x"), moved, "y") == forged
+
+
+@pytest.mark.parametrize("number, time", [("one", "1"), ("1", "soon"), ("1", "9" * 400)])
+def test_a_line_without_numbers_is_refused_though_it_has_the_key(number, time):
+    line = "%s %s %s b. ." % ("session", number, time)
+    text = "gspn1 %s %s\nbody" % (KEY.code("3:run4:said%s\nbody" % line), line)
+    assert why_not(seal("a"), text) == "its number or time is no number"
+
+
 def test_messages_to_others_do_not_push_ours_out_of_the_window():
     sender, receiver = seal("b"), seal("a")
     mine = [sender.close("a", str(n), "said") for n in range(2)]
@@ -153,6 +192,21 @@ def test_an_order_counts_once_at_one_robot_and_not_for_long():
     assert restarted.open_order(fresh, "order").body == "stop"
     restarted = seal("b", clock=Clock(clock.now + 1))
     assert why(restarted, fresh) == "an order from before this robot started"
+
+
+def test_an_order_is_remembered_for_as_long_as_it_could_be_played_again():
+    """Up to twice :data:`FRESH`, where the clock of the operator is ahead."""
+    clock = Clock()
+    robot, ann = seal("a", clock=clock), seal("ann", clock=Clock(clock.now + FRESH))
+    order = ann.close("a", "stop", "order")
+    assert robot.open_order(order, "order").body == "stop"
+    for _ in range(4):
+        clock.now += FRESH / 2
+        with pytest.raises(NotSealedError, match="a repeated order"):
+            robot.open_order(order, "order")
+    clock.now += 1
+    with pytest.raises(NotSealedError, match="31 s old"):
+        robot.open_order(order, "order")
 
 
 def test_a_key_is_for_its_owner_alone_and_nothing_is_overwritten(tmp_path, capsys):
