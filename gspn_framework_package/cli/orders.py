@@ -55,6 +55,8 @@ class OrderVerb(NamedTuple):
                 parser.add_argument(field.name, **words)
             elif field.kind is FieldKind.ROBOT:
                 parser.add_argument(field.name, nargs="?", default="", **words)
+            elif field.kind is FieldKind.FLAG:
+                parser.add_argument("--" + field.name, action="store_true", help=field.help)
             else:
                 default = "{}" if is_object else ""
                 parser.add_argument("--" + field.name, default=default, **words)

@@ -53,7 +53,8 @@ def print_table(statuses: Dict[str, Optional[Dict[str, Any]]]) -> None:
     for run_name in sorted({status["run"] for status in known}):
         of_run = [status for status in known if status["run"] == run_name]
         longest = max(of_run, key=lambda status: int(status["log_length"]))
-        paused = ", paused" if longest["paused"] else ""
+        pause = ", paused: actions are stopped" if longest.get("stopped") else ", paused"
+        paused = pause if longest["paused"] else ""
         over = ", over: %s" % longest["ended"] if longest["ended"] else ""
         told = run_name, longest["synchronisation"], paused + over
         print("run %s, %s synchronisation%s" % told)

@@ -206,10 +206,13 @@ class SetPlace(NamedTuple):
 
 
 class Pause(NamedTuple):
-    """Until ``Resume``, the robot joins no firing; if ``robot`` is "" (the team), nothing fires."""
+    """Until ``Resume``, the robot joins no firing; if ``robot`` is "" (the team), nothing fires.
+    Running actions go on. With ``stop`` they are cancelled, and none starts; those that are not
+    done start again on ``Resume``."""
 
     robot: str = ""
     by: Giver = NOBODY
+    stop: bool = False
 
 
 class Resume(NamedTuple):
@@ -330,7 +333,17 @@ _BOUNDED = frozenset((*_OPEN, "digest", "why", "id", "by", "priority", "replaces
 """Fields that are checked for more than their type."""
 
 
-_LATER = ("again", "returns", "draws_ties", "priority", "since", "until", "replaces", "late")
+_LATER = (
+    "again",
+    "returns",
+    "draws_ties",
+    "priority",
+    "since",
+    "until",
+    "replaces",
+    "late",
+    "stop",
+)
 """Fields that entries of earlier versions lack."""
 
 

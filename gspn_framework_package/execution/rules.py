@@ -11,6 +11,9 @@ from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import POLICY
 
+RUNS_ON = "paused, but its action runs on"
+"""Why a robot does not move whose action a pause lets go on."""
+
 
 class Rules:
     """The rules of one plan.
@@ -125,10 +128,14 @@ class Rules:
         return False
 
     def why_waiting(self, state: TeamState, robot: RobotState) -> str:
-        """Why a robot that is done or has failed does not move, for people; "" if it is not
-        waiting."""
+        """Why a robot that is done or has failed does not move, and what its action does in a
+        pause, for people; "" if it is not waiting."""
         if robot.phase is Phase.FAILED:
             return "its action failed (%s); waits for the operator" % robot.why
+        if robot.phase is Phase.DOING and state.is_stopped(robot):
+            return "paused: its action is stopped, and starts again on resume"
+        if robot.phase is Phase.DOING and (state.paused or robot.paused):
+            return RUNS_ON
         if robot.phase is not Phase.DONE:
             return ""
         if state.paused or robot.paused:

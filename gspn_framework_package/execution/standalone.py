@@ -577,6 +577,8 @@ class StandaloneExecutor:
         for agent, command in list(self._halted.items()):
             if not self._is_current(command) or self.state.ended is not None:
                 del self._halted[agent]
+            elif self.state.is_stopped(self.state.robots[agent]):
+                continue  # its next attempt starts on resume
             elif self._may_start(command):
                 del self._halted[agent]
                 data = self.state.data_of(self.state.robots[agent])

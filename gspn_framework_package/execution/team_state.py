@@ -60,6 +60,8 @@ class RobotState:
     failures: int = 0
     """Failed attempts since the last retry by the operator."""
     paused: bool = False
+    stopped: bool = False
+    """Whether the pause stops its action as well."""
     drawn: Optional[Draw] = None
     why: str = ""
     """Why its action failed, or why the policy makes it wait."""
@@ -149,6 +151,8 @@ class TeamState:
     orders: int = 0
     created: int = 0
     paused: bool = False
+    stopped: bool = False
+    """Whether the pause stops actions as well."""
     ended: Optional[str] = None
     """Why the run is over; None while it is running."""
     finished: bool = False
@@ -180,6 +184,10 @@ class TeamState:
     def active(self) -> List[RobotState]:
         """The robots whose tokens are in the net."""
         return [r for r in self.robots.values() if not r.phase.gone]
+
+    def is_stopped(self, robot: RobotState) -> bool:
+        """Whether a pause keeps the robot from doing its action."""
+        return self.stopped or robot.stopped
 
     def add_waiting(self, robot: RobotState) -> None:
         """Mark ``robot`` as DONE, after all others that are."""
@@ -327,6 +335,7 @@ class TeamState:
                 net.marking(data["marking"]),
                 witnesses=tuple(data["witnesses"]),
                 draws_ties=bool(data.get("draws_ties", False)),
+                stopped=bool(data.get("stopped", False)),
                 finished=bool(data.get("finished", False)),
                 fault=bool(data.get("fault", False)),
                 **{key: data[key] for key in _PLAIN},
@@ -449,7 +458,7 @@ def reported_phase(state: TeamState, robot: Optional[RobotState]) -> Phase:
     return Phase.WAITING if phase is Phase.DONE else phase
 
 
-_FLAGS = ("finished", "fault", "draws_ties")
+_FLAGS = ("finished", "fault", "draws_ties", "stopped")
 _PLAIN = ("seed", "next_slot", "version", "orders", "created", "paused", "ended")
 _ROBOT_PLAIN = ("name", "incarnation", "visit", "attempt", "order", "failures", "paused", "why")
 
@@ -459,6 +468,8 @@ def _robot_to_json(robot: RobotState, net: Net) -> Dict[str, Any]:
     data["place"] = net.places[robot.place].name
     data["phase"] = robot.phase.value
     data["request"] = "" if robot.request == POLICY else net.transitions[robot.request].name
+    if robot.stopped:
+        data["stopped"] = True
     if robot.data:
         data["data"] = dict(robot.data)
     if robot.task is not None:
@@ -487,6 +498,7 @@ def _robot_from_json(data: Dict[str, Any], net: Net) -> RobotState:
         phase=Phase.of_log(data["phase"]),
         **{key: data[key] for key in _ROBOT_PLAIN},
     )
+    robot.stopped = bool(data.get("stopped", False))
     robot.data = check_values(data.get("data", {}), None)
     if "task" in data:
         robot.task = Task.from_json(data["task"])

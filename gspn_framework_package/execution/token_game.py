@@ -8,10 +8,10 @@ of the log.
 
 from __future__ import annotations
 
-from typing import Any, Dict, Iterable, List, Mapping, NamedTuple, Optional, Tuple
+from typing import Any, Dict, Iterable, List, Mapping, NamedTuple, Optional, Tuple, Union
 
 from gspn_framework_package.execution import log_entries, plan_change
-from gspn_framework_package.execution.firing import Firing, GameCommand
+from gspn_framework_package.execution.firing import CancelAction, Firing, GameCommand
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.rules import Rules
 from gspn_framework_package.execution.task_turn import TaskTurn
@@ -166,7 +166,7 @@ class _Reducer(TaskTurn):
         elif isinstance(entry, log_entries.SetPlace):
             self._set_place(entry._replace(place=self.state.present_name(entry.place)))
         elif isinstance(entry, (log_entries.Pause, log_entries.Resume)):
-            self._pause(entry.robot, isinstance(entry, log_entries.Pause))
+            self._pause(entry)
         elif isinstance(entry, log_entries.Stop):
             self._end(entry.reason, finished=False, stopped=True)
         elif isinstance(entry, log_entries.StagePlan):
@@ -424,7 +424,7 @@ class _Reducer(TaskTurn):
         self._cancel(robot)
         self.state.remove_waiting(robot)
         robot.phase = Phase.LOST if isinstance(entry, log_entries.Evict) else Phase.LEFT
-        robot.paused = False
+        robot.paused = robot.stopped = False
         marking = list(self.state.marking)
         marking[robot.place] -= 1
         self._give_back(robot, marking)
@@ -483,8 +483,21 @@ class _Reducer(TaskTurn):
         robot.visit += 1
         self._enter(robot)
 
-    def _pause(self, name: str, paused: bool) -> None:
-        if not name:
-            self.state.paused = paused
-        elif name in self.state.robots:
-            self.state.robots[name].paused = paused
+    def _pause(self, entry: Union[log_entries.Pause, log_entries.Resume]) -> None:
+        """Begin or end a pause: stop the actions that it stops, and start those that it ended
+        for."""
+        state = self.state
+        whom = state if not entry.robot else state.robots.get(entry.robot)
+        if whom is None:
+            return
+        before = {r.name for r in state.active() if state.is_stopped(r)}
+        whom.paused = isinstance(entry, log_entries.Pause)
+        whom.stopped = isinstance(entry, log_entries.Pause) and (whom.stopped or entry.stop)
+        for robot in state.active():
+            if robot.phase is not Phase.DOING:
+                continue
+            if state.is_stopped(robot) and robot.name not in before:
+                self.commands.append(CancelAction(robot.name, robot.visit))
+            elif robot.name in before and not state.is_stopped(robot):
+                robot.attempt += 1
+                self._start_action(robot)

@@ -531,6 +531,8 @@ class Turn:
             self._start_action(robot)
 
     def _start_action(self, robot: RobotState, delay: float = 0.0) -> None:
+        if self.state.is_stopped(robot):
+            return  # it starts when the pause ends
         self.commands.append(
             StartAction(
                 robot.name,
@@ -545,7 +547,7 @@ class Turn:
         )
 
     def _cancel(self, robot: RobotState) -> None:
-        if robot.phase is Phase.DOING:
+        if robot.phase is Phase.DOING and not self.state.is_stopped(robot):
             self.commands.append(CancelAction(robot.name, robot.visit))
 
     def _fault(self, robot: Optional[RobotState], message: str, failed: str = "") -> None:

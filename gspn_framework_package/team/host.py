@@ -432,6 +432,7 @@ class ReplicaHost:
         again = " again, attempt %d" % command.attempt if command.attempt > 1 else ""
         self._status_reporter.say("does %s%s (visit %d)" % (command.place, again, command.visit))
         self._begun, self._progress, self._attempt = self._replica.visit, [], command.attempt
+        self._report.note_start()
         self._actions.start(command, time.monotonic())
 
     def _cancel_action(self, command: CancelAction) -> None:

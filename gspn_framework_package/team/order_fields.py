@@ -31,12 +31,15 @@ class FieldKind(enum.Enum):
     OBJECT = "object"
     TIME = "time"
     """A time of day, in seconds since 1970."""
+    FLAG = "flag"
+    """Yes or no; its name stands for yes."""
 
 
 _TYPES: Dict[FieldKind, Tuple[Tuple[type, ...], str]] = {
     FieldKind.ID: ((str, int), "text or a whole number"),
     FieldKind.NUMBER: ((int,), "a whole number"),
     FieldKind.TIME: ((int,), "a time"),
+    FieldKind.FLAG: ((bool,), "true or false"),
     FieldKind.NAMES: ((list,), "a list of names"),
     FieldKind.OBJECT: ((dict,), "a JSON object"),
 }
@@ -102,7 +105,7 @@ class OrderField(NamedTuple):
         if self.kind is FieldKind.TIME and isinstance(given, str):
             given = seconds_of(given)
         types, words = _TYPES.get(self.kind, ((str,), "text"))
-        fits = isinstance(given, types) and not isinstance(given, bool)
+        fits = isinstance(given, types) and isinstance(given, bool) == (bool in types)
         if self.kind is FieldKind.NAMES and fits:
             fits = all(isinstance(name, str) for name in given)
         if not fits:
@@ -132,4 +135,6 @@ class OrderField(NamedTuple):
         digits = text[1:] if text.startswith("-") else text
         if self.kind is FieldKind.NUMBER and digits.isdecimal() and len(digits) <= LONGEST_NUMBER:
             return int(text)
+        if self.kind is FieldKind.FLAG and text == self.name:
+            return True
         return text

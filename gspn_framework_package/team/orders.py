@@ -138,6 +138,8 @@ class OrderKind(NamedTuple):
         if len(inside) != 1:
             return compact({f.name: values[f.name] for f in inside}) if inside else ""
         value = values[inside[0].name]
+        if inside[0].kind is FieldKind.FLAG:
+            return inside[0].name if value else ""
         return value if isinstance(value, str) else "" if value is None else compact(value)
 
     @property
@@ -184,10 +186,20 @@ ORDERS: Dict[str, OrderKind] = {
         example="",
     ),
     "pause": OrderKind(
-        "stop all firing until resume, or the firings of one robot",
-        (ROBOT_OR_TEAM,),
-        log_entries.Pause,
-        example="robot_2",
+        "stop all firing until resume, or the firings of one robot; actions run on",
+        (
+            ROBOT_OR_TEAM,
+            OrderField(
+                "stop",
+                FieldKind.FLAG,
+                "stop the actions as well: they are cancelled, and start again on resume",
+                required=False,
+                default=False,
+            ),
+        ),
+        lambda robot, stop: log_entries.Pause(robot, stop=stop),
+        example="robot_2 --stop",
+        note="Without --stop, running actions go on until they are done, and the robot then waits.",
         form=Form(
             "running",
             "Pause",

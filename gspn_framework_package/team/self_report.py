@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from typing import Any, Callable, Deque, Dict, List, NamedTuple, Sequence, Tuple
+from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.execution.agreement.interface import OrderGiven
 from gspn_framework_package.execution.agreement.replica import Replica
@@ -14,6 +14,7 @@ from gspn_framework_package.execution.displayed_data import (
     displayed_team,
 )
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.rules import RUNS_ON
 from gspn_framework_package.execution.team_messages import (
     MessageFields,
     marking_fields,
@@ -66,6 +67,7 @@ class SelfReport:
         self._replica, self._actions = replica, actions
         self._refusals = refusals
         self._refused_before = 0
+        self._acts_since: Optional[float] = None
         self._orders: Deque[Dict[str, Any]] = deque(maxlen=MOST_ORDERS)
 
     @property
@@ -131,7 +133,10 @@ class SelfReport:
         robot = replica.ledger.state.robots.get(self._robot)
         reasons = [self._actions.doing(), replica.waits_for()]
         if robot is not None:
-            reasons.append(replica.ledger.game.why_waiting(replica.ledger.state, robot))
+            why = replica.ledger.game.why_waiting(replica.ledger.state, robot)
+            if why == RUNS_ON and self._acts_since is not None:
+                why += time.strftime(" since %H:%M:%S", time.localtime(self._acts_since))
+            reasons.append(why)
         return "; ".join(filter(None, reasons))
 
     def needs_operator(self) -> bool:
@@ -142,6 +147,10 @@ class SelfReport:
         if self._replica.halted is not None or self._replica.is_stuck():
             return True
         return robot is not None and state.ended is None and robot.phase.report.needs_operator
+
+    def note_start(self) -> None:
+        """Note that an action of the robot starts now."""
+        self._acts_since = time.time()
 
     def note_order(self, given: OrderGiven) -> None:
         """Record that an operator gave this robot an order."""

@@ -263,7 +263,7 @@ class _Run:
             (0 if often in (*FORGETFUL, "calm") else 4, self._partition),
             (0 if often in FORGETFUL else 1, self._leave),
             (8 if often == "outage" else 2, self._join),
-            (12 if often in ("operator", "calm") else 3, self._order),
+            ({"operator": 12, "calm": 12, "tasks": 8}.get(often, 3), self._order),
             (4 if often in ("operator", "tasks") else 1, self._evict),
             (8 if often in FORCED else 0, self._force_evict),
             (6 if often == "spare" else 0, self._spare),
@@ -446,7 +446,7 @@ class _Run:
         place = self.random.choice(self.world.plan.action_places)
         who: str = self.random.choice(["", robot])
         choices: List[log_entries.Entry] = [
-            log_entries.Pause(who),
+            log_entries.Pause(who, stop=self.kind == "tasks" and self.random.random() < 0.5),
             log_entries.Resume(who),
             log_entries.Resume(""),
             log_entries.SetPlace(robot, place),

@@ -103,9 +103,8 @@ class LocalRobot:
         if robot is None or robot.phase.gone or state.ledger.state.ended is not None:
             state.position = self._from = None
             return [own for own in own_proposals if own.item.private] if own_proposals.local else []
-        at = Position(
-            robot.place, robot.incarnation, robot.visit, robot.attempt, robot.phase is Phase.DOING
-        )
+        doing = robot.phase is Phase.DOING and not state.ledger.state.is_stopped(robot)
+        at = Position(robot.place, robot.incarnation, robot.visit, robot.attempt, doing)
         while self._from and self._led_to and next(iter(self._led_to)) not in own_proposals:
             _, self._from = self._led_to.popitem(last=False)
             self._entered[self._from.place] -= 1

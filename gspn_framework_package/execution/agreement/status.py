@@ -153,6 +153,7 @@ class Status:
             "astray": sorted(state.astray),
             "waits_for": self.waits_for(),
             "paused": team.paused,
+            "stopped": team.stopped,
             "ended": team.ended,
             "fenced": state.fenced,
             "marking": self.state.ledger.game.net.named(self.robot.marking(), zeros=False),

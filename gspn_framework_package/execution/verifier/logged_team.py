@@ -7,7 +7,7 @@ This was written independently of the token game and shares no code with it (see
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Dict, Iterable, List, Mapping, NamedTuple, Optional, Tuple
+from typing import Any, Dict, Iterable, List, Mapping, NamedTuple, Optional, Tuple, Union
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.phase import Phase
@@ -78,6 +78,8 @@ class LoggedRobot:
     order: int = 0
     failures: int = 0
     paused: bool = False
+    stopped: bool = False
+    """Whether its own pause keeps it from acting."""
     data: Values = field(default_factory=dict)
     held: Dict[str, Values] = field(default_factory=dict)
     """The held events, which interrupt it as soon as they can, in order, with their causes."""
@@ -110,7 +112,7 @@ class LoggedTeam:
         self.seed = 0
         self.draws_ties = False
         """Whether chance decides between robots that could move alike."""
-        self.paused = False
+        self.paused = self.stopped = False
         self.ended: Optional[str] = None
         self.perhaps_ended = False
         self.orders = 0
@@ -168,11 +170,16 @@ class LoggedTeam:
         return [r.name for r in self.robots.values() if r.here] + list(self.witnesses)
 
     def situations(self) -> Dict[str, Situation]:
-        """The situation of every robot, by name."""
-        return {
-            r.name: Situation(r.place, r.incarnation, r.visit, r.attempt, r.phase, self._memory(r))
-            for r in self.robots.values()
-        }
+        """The situation of every robot, by name; a robot that a pause keeps from acting is
+        PAUSED."""
+        found = {}
+        for r in self.robots.values():
+            idle = r.phase is Phase.DOING and (self.stopped or r.stopped)
+            phase = Phase.PAUSED if idle else r.phase
+            found[r.name] = Situation(
+                r.place, r.incarnation, r.visit, r.attempt, phase, self._memory(r)
+            )
+        return found
 
     def _memory(self, robot: LoggedRobot) -> KnownData:
         task = self.cargo.carried.get(robot.name)
@@ -276,11 +283,7 @@ class LoggedTeam:
                 robot.visit += 1
                 self._enter(robot)
         elif isinstance(entry, (log_entries.Pause, log_entries.Resume)):
-            paused = isinstance(entry, log_entries.Pause)
-            if not entry.robot:
-                self.paused = paused
-            elif entry.robot in self.robots:
-                self.robots[entry.robot].paused = paused
+            self._pause(entry)
         elif isinstance(entry, log_entries.Stop):
             self.ended = entry.reason
         elif isinstance(entry, log_entries.Adopt):
@@ -288,6 +291,20 @@ class LoggedTeam:
         else:
             self.stages.apply(entry, self.robots.get(getattr(entry, "robot", "")), self.witnesses)
         return None
+
+    def _pause(self, entry: Union[log_entries.Pause, log_entries.Resume]) -> None:
+        """A pause begins or ends; robots that it kept from acting then make the next attempt."""
+        idle = [r for r in self.robots.values() if r.here and (self.stopped or r.stopped)]
+        begins = isinstance(entry, log_entries.Pause)
+        stops = isinstance(entry, log_entries.Pause) and entry.stop
+        if not entry.robot:
+            self.paused, self.stopped = begins, stops or (begins and self.stopped)
+        elif entry.robot in self.robots:
+            robot = self.robots[entry.robot]
+            robot.paused, robot.stopped = begins, stops or (begins and robot.stopped)
+        for robot in idle:
+            if robot.phase is Phase.DOING and not (self.stopped or robot.stopped):
+                robot.attempt += 1
 
     def _cancel(self, task_id: str) -> None:
         """A task is not to be done; its robot goes on without it as the plan says."""
@@ -524,7 +541,8 @@ class LoggedTeam:
         leaves = isinstance(entry, log_entries.Leave)
         if isinstance(entry, log_entries.Evict) and entry.incarnation != robot.incarnation:
             return
-        robot.phase, robot.paused = (Phase.LEFT if leaves else Phase.LOST), False
+        robot.phase = Phase.LEFT if leaves else Phase.LOST
+        robot.paused = robot.stopped = False
         self.marking[robot.place] -= 1
         for place, n in self.plan.on_evict.get(robot.place, {}).items():
             self.marking[place] += n

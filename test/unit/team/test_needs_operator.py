@@ -1,10 +1,12 @@
 """What needs the operator is seen by the state of a robot, not by what a text about it says."""
 
+import re
 from types import SimpleNamespace
 
 import pytest
 
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.rules import RUNS_ON
 from gspn_framework_package.execution.team_state import RobotState, TeamState
 from gspn_framework_package.team.self_report import SelfReport
 from gspn_framework_package.team.status_reporter import level_of
@@ -40,6 +42,14 @@ def test_a_name_with_the_word_in_it_needs_nobody(phase):
 def test_a_robot_that_does_not_go_on_by_itself_needs_the_operator(phase, halted):
     assert report(phase, halted).needs_operator()
     assert level_of(True, False) == 2
+
+
+def test_a_pause_says_since_when_an_action_runs_on():
+    paused = report(Phase.DOING)
+    paused._replica.ledger.game.why_waiting = lambda *_: RUNS_ON
+    assert paused.waits_for().endswith("; " + RUNS_ON)
+    paused.note_start()
+    assert re.search("; %s since [0-9:]{8}$" % RUNS_ON, paused.waits_for())
 
 
 def test_a_team_that_lost_too_many_logs_needs_the_operator():
