@@ -195,6 +195,11 @@ VERB_GROUPS: Dict[str, Dict[str, Verb]] = {
             "write recorded runs for other tools: as a rosbag, an MCAP file or a table",
             "export run.jsonl --csv run.csv",
         ),
+        "room": Verb(
+            ".room",
+            "make a room for simulated robots of a map, or of a world of Gazebo",
+            "room map.yaml -o room.yaml",
+        ),
         "film": Verb(
             ".film",
             "film robots in a room, without a display: a recorded run, or a patrol simulated for "

@@ -2,6 +2,8 @@
 
 ``room``, ``room_file``, ``room_check``
     walls, obstacles, locations, waiting bays, temperature field, and the file that describes them.
+``made_room``, ``map_room``, ``sdf_world``
+    rooms made of maps of map_server and of worlds of Gazebo.
 ``bodies``, ``physics``
     the room and the robots as PyBullet bodies with wheels and contacts.
 ``grid``, ``avoidance``, ``yielding``, ``navigation``

@@ -28,6 +28,8 @@ COMFORT = 0.12
 """Distance to a wall or obstacle (beyond the robot's radius), in metres, from which on a path has
 no surcharge."""
 
+_TILE = 20  # cells
+
 Disc = Tuple[float, float, float]
 """A disc on the floor: x, y, radius."""
 
@@ -99,13 +101,41 @@ class Grid:
         columns, rows = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
         self.xs: np.ndarray = bounds.low[0] + columns.ravel() * RESOLUTION
         self.ys: np.ndarray = bounds.low[1] + rows.ravel() * RESOLUTION
-        self.clearance: np.ndarray = room.clearance(self.xs, self.ys)
-        self._table = self.clearance.reshape(self.rows, self.columns)
+        self._table = self._measure()
+        self.clearance: np.ndarray = self._table.ravel()
         # beyond the robot's radius
         spare = self.clearance - room.robot.radius
         self.free: np.ndarray = spare > SPARE
         self._toll = 1.0 + 3.0 * np.clip(1.0 - spare / COMFORT, 0.0, 1.0) ** 2
         self._edges()
+
+    def _measure(self) -> np.ndarray:
+        """The distance from each cell to the nearest wall or obstacle, negative inside, metres.
+
+        A distance to a solid differs between two points by no more than they are apart. So in a
+        tile of cells, the nearest solid is one that is almost the nearest to the tile's centre.
+        """
+        xs, ys = (table.reshape(self.rows, self.columns) for table in (self.xs, self.ys))
+        tiles = [
+            (slice(row, row + _TILE), slice(column, column + _TILE))
+            for row in range(0, self.rows, _TILE)
+            for column in range(0, self.columns, _TILE)
+        ]
+        centre_xs, centre_ys = (
+            np.array([(table[tile].flat[0] + table[tile].flat[-1]) / 2 for tile in tiles])
+            for table in (xs, ys)
+        )
+        solids = self.room.solids()
+        table = np.full(xs.shape, np.inf)
+        if not solids:
+            return table
+        away = np.array([solid.distance(centre_xs, centre_ys) for solid in solids])
+        near = away <= away.min(axis=0) + _TILE * RESOLUTION * math.sqrt(2.0)
+        for number, tile in enumerate(tiles):
+            for index in np.flatnonzero(near[:, number]):
+                found = solids[index].distance(xs[tile], ys[tile])
+                table[tile] = np.minimum(table[tile], found)
+        return table
 
     def _edges(self) -> None:
         cells = np.arange(self.columns * self.rows)

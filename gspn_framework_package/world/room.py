@@ -48,6 +48,11 @@ class Cylinder:
         """The distance from points to the surface, negative inside; numbers or arrays, metres."""
         return np.hypot(x - self.at[0], y - self.at[1]) - self.radius
 
+    def corners(self) -> List[Point]:
+        """The corners of the square around it."""
+        (x, y), r = self.at, self.radius
+        return [(x - r, y - r), (x + r, y - r), (x + r, y + r), (x - r, y + r)]
+
 
 @dataclass(frozen=True)
 class Box:
@@ -67,6 +72,17 @@ class Box:
         ey = np.abs(dy * cos - dx * sin) - self.size[1] / 2
         outside = np.hypot(np.maximum(ex, 0.0), np.maximum(ey, 0.0))
         return outside + np.minimum(np.maximum(ex, ey), 0.0)
+
+    def corners(self) -> List[Point]:
+        """Its corners on the floor."""
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        halves = [
+            (sx * self.size[0] / 2, sy * self.size[1] / 2) for sx in (-1, 1) for sy in (-1, 1)
+        ]
+        return [
+            (self.at[0] + dx * cos - dy * sin, self.at[1] + dx * sin + dy * cos)
+            for dx, dy in halves
+        ]
 
 
 Obstacle = Union[Cylinder, Box]
@@ -279,7 +295,7 @@ class Room:
     def bounds(self) -> Area:
         """The rectangle around everything; around the origin if the room is empty."""
         points = [point for line in self.walls for point in line]
-        points += [solid.at for solid in self.obstacles]
+        points += [corner for solid in self.obstacles for corner in solid.corners()]
         poses = list(self.spawn)
         for place in self.locations.values():
             points += [place.area.low, place.area.high]

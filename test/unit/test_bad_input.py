@@ -27,6 +27,7 @@ VERBS = {
     "optimise": ["optimise", "X", "--reach", "deadlock"],
     "build": ["build", "X", "-o", "built"],
     "film": ["film", "out.mp4", "--recording", "X"],
+    "room": ["room", "X"],
     "keys": ["keys", "show", "X"],
     "token file": ["serve", PATROL, "--port", "0", "--token-file", "X"],
     "team key": ["pause", "--team-key-file", "X"],
