@@ -8,7 +8,7 @@ has ProM's own properties (time unit or execution policy) is read as ProM's, any
 with a note. A transition without such data is exponential with rate 1, with a note, because the
 standard itself has no notion of time. TINA writes intervals into ``delay``: ``[0,w[`` means the
 same as no interval, ``[0,0]`` means immediate, and others are refused. TINA's test arcs become arcs
-in both directions.
+in both directions. Symmetric nets are unfolded (:mod:`.coloured`).
 
 Elements and attributes that are not listed here are refused: see :mod:`.vocabulary`.
 
@@ -18,16 +18,18 @@ ignore."""
 
 from __future__ import annotations
 
-from typing import Dict, List, Mapping, NamedTuple, Optional, Tuple
+from functools import partial
+from typing import Callable, Dict, Iterable, List, Mapping, NamedTuple, Optional, Tuple
 
 from lxml import etree
 
 from gspn_framework_package.formats import vocabulary
+from gspn_framework_package.formats.coloured import Colours
 from gspn_framework_package.formats.draft import NetDraft, ReadOptions
 from gspn_framework_package.formats.pnml_family import OWN, PNML, STOCHASTIC, member
 from gspn_framework_package.formats.repetition import FileSample
 from gspn_framework_package.formats.tool_data import note_other_timing
-from gspn_framework_package.formats.vocabulary import known
+from gspn_framework_package.formats.vocabulary import ANY_CONTENT, known
 from gspn_framework_package.formats.xml_tree import (
     all_of,
     arc_kind,
@@ -51,6 +53,8 @@ from gspn_framework_package.model.net import Net, Point
 
 NAMESPACE = "http://www.pnml.org/version-2009/grammar/pnml"
 _NET_TYPE = "http://www.pnml.org/version-2009/grammar/ptnet"
+
+_SYMMETRIC_TYPE = "http://www.pnml.org/version-2009/grammar/symmetricnet"
 
 _COLOURED = ("symmetric", "highlevel", "hlpn", "colored", "coloured")
 _TINA = "laas.fr/tina"
@@ -95,9 +99,12 @@ def from_xml(
 ) -> Tuple[Net, List[str]]:
     """Read the net in a parsed document, with notes.
 
-    :raises NetError: there is no such net, or it is not a place/transition net.
+    :raises NetError: there is no such net, or it is neither a place/transition net nor a coloured
+        one that can be unfolded.
     """
-    reader = _Reader(root, file, options)
+    net = choose_net(all_of(root, "net"), options.net, file)
+    kind = _ColouredReader if _is_coloured(net) else _Reader
+    reader = kind(net, file, options)
     reader.note_timing(len(reader.untimed))
     return reader.draft.net(reader.name), reader.draft.notes
 
@@ -111,13 +118,22 @@ def from_sample(sample: FileSample, options: ReadOptions) -> Optional[Tuple[Net,
     root = parse_xml(sample.document)
     if tag(root) != "pnml" or member(root).kind != PNML:
         return None
-    reader = _Reader(root, None, options)
+    element = choose_net(all_of(root, "net"), options.net, None)
+    if _is_coloured(element):
+        return None
+    reader = _Reader(element, None, options)
     net = None if reader.references else reader.draft.net_of_sample(sample, reader.name)
     if net is None:
         return None
     untimed = set(reader.untimed)
     reader.note_timing(sum(sampled in untimed for sampled in sample.transitions.sampled))
     return net, reader.draft.notes
+
+
+def _is_coloured(net: etree._Element) -> bool:
+    """Whether the type of a net says that it has colours."""
+    kind = (net.get("type") or "").lower()
+    return any(word in kind for word in _COLOURED)
 
 
 class _Reader:
@@ -129,8 +145,10 @@ class _Reader:
     :ivar untimed: the ids of the transitions without timing.
     """
 
-    def __init__(self, root: etree._Element, file: Optional[str], options: ReadOptions) -> None:
-        self.net = net = choose_net(all_of(root, "net"), options.net, file)
+    place_words, transition_words, arc_words = _PLACE, _TRANSITION, _ARC
+
+    def __init__(self, net: etree._Element, file: Optional[str], options: ReadOptions) -> None:
+        self.net = net
         self.name = label(net, "name", "text") or (net.get("id") or "").strip()
         self.options = options
         self.draft = NetDraft(file, options.constants)
@@ -140,18 +158,13 @@ class _Reader:
         self.parameters = 0
         self.means = STOCHASTIC in _data({"toolspecific": all_of(net, "toolspecific")})
         self.tina = _TINA in (net.get("type") or "").lower()
+        root = net.getroottree().getroot()
         vocabulary.check_element(root, _ROOT, "the document", self.draft.fail)
         self._read()
 
     def _read(self) -> None:
         kind = (self.net.get("type") or "").lower()
-        if any(word in kind for word in _COLOURED):
-            self.draft.fail(
-                "a coloured net (type %s)" % shorten(kind),
-                line=line_of(self.net),
-                hint="only place/transition nets are read; unfold it first",
-            )
-        if kind and not any(word in kind for word in _KNOWN_TYPES):
+        if kind and not any(word in kind for word in (*_KNOWN_TYPES, *_COLOURED)):
             self.draft.fail(
                 "nets of the type '%s' are not known" % shorten(kind),
                 line=line_of(self.net),
@@ -159,6 +172,10 @@ class _Reader:
             )
         vocabulary.check_attributes(self.net, _NET, name_of(self.net, "net"), self.draft.fail)
         self._nodes(self.net, _NET)
+        self._finish()
+
+    def _finish(self) -> None:
+        """Read what needs all nodes."""
         for arc in self.arcs:
             self._arc(arc)
 
@@ -174,14 +191,7 @@ class _Reader:
         self._nodes(page, _PAGE)
 
     def _nodes(self, page: etree._Element, free: vocabulary.Element) -> None:
-        readers = {
-            "page": self._page,
-            "place": self._place,
-            "transition": self._transition,
-            "referencePlace": self._reference,
-            "referenceTransition": self._reference,
-            "arc": self.arcs.append,
-        }
+        readers = self._readers()
         for element in page:
             kind = tag(element)
             if kind in readers:
@@ -201,12 +211,23 @@ class _Reader:
                     element, everything, name_of(page, tag(page)), self.draft.fail
                 )
 
+    def _readers(self) -> Dict[str, Callable[[etree._Element], None]]:
+        """What reads the elements of a page, by their tags."""
+        return {
+            "page": self._page,
+            "place": self._place,
+            "transition": self._transition,
+            "referencePlace": self._reference,
+            "referenceTransition": self._reference,
+            "arc": self.arcs.append,
+        }
+
     def _refuse_colour(self, element: etree._Element, what: str) -> None:
         self.draft.fail(
             "a coloured net: it has a <%s>" % tag(element),
             what,
             line_of(element),
-            "only place/transition nets are read; unfold it first",
+            "the type of a coloured net is %s" % _SYMMETRIC_TYPE,
         )
 
     def _check(
@@ -243,19 +264,30 @@ class _Reader:
 
     def _place(self, element: etree._Element) -> None:
         what, line = name_of(element, "place"), line_of(element)
-        parts = self._check(element, _PLACE, what)
+        parts = self._check(element, self.place_words, what)
         self._note_tools(parts, what)
         text = _text(parts, "initialMarking")
         tokens = self.draft.count(text, "initial marking", what, line) if text else 0
         text = self._own(_data(parts), what, line).get("capacity")
         capacity = self.draft.count(text, "capacity", what, line) if text else None
-        self.draft.add_place(
-            element.get("id"), _text(parts, "name"), tokens, capacity, _position(parts), line
-        )
+        identifier, name = element.get("id"), _text(parts, "name")
+        for after, own_tokens in self._contents(element, tokens):
+            self.draft.add_place(
+                _with(identifier, after),
+                _with(name, after),
+                own_tokens,
+                capacity,
+                None if after else _position(parts),
+                line,
+            )
+
+    def _contents(self, element: etree._Element, tokens: int) -> Iterable[Tuple[str, int]]:
+        """What is put after the name of a place, and the tokens, of each place that it becomes."""
+        return (("", tokens),)
 
     def _transition(self, element: etree._Element) -> None:
         what, line = name_of(element, "transition"), line_of(element)
-        parts = self._check(element, _TRANSITION, what)
+        parts = self._check(element, self.transition_words, what)
         self._note_tools(parts, what)
         identifier, name = element.get("id"), _text(parts, "name")
         tools = _data(parts)
@@ -273,7 +305,8 @@ class _Reader:
                 weight = self.draft.number(data["weight"], "weight", what, line)
             text = data.get("priority")
             priority = self.draft.count(text, "priority", what, line) if text else 1
-            self.draft.add_immediate(identifier, name, weight, priority, _position(parts), line)
+            add = partial(self.draft.add_immediate, weight=weight, priority=priority)
+            self._copy_transition(element, name, add, _position(parts))
             return
         if kind not in ("", "EXPONENTIAL"):
             self.draft.fail(
@@ -282,8 +315,6 @@ class _Reader:
                 line,
                 "immediate and exponential transitions are read",
             )
-        if not kind and not data.get("distributionParameters", "").strip("[](){} "):
-            self.untimed.append(identifier)
         text = own.get("servers")
         servers = self.options.servers(1)
         if text:
@@ -292,14 +323,30 @@ class _Reader:
                 if text == "infinite"
                 else self.draft.count(text, "number of servers", what, line)
             )
-        self.draft.add_exponential(
-            identifier,
-            name,
-            self._rate(kind, data, own, what, line),
-            servers,
-            _position(parts),
-            line,
-        )
+        rate = self._rate(kind, data, own, what, line)
+        add = partial(self.draft.add_exponential, rate=rate, servers=servers)
+        copies = self._copy_transition(element, name, add, _position(parts))
+        if not kind and not data.get("distributionParameters", "").strip("[](){} "):
+            self.untimed += [identifier] * copies
+
+    def _copy_transition(
+        self,
+        element: etree._Element,
+        name: Optional[str],
+        add: Callable[..., None],
+        position: Optional[Point],
+    ) -> int:
+        """Add a transition as often as it occurs; return how often that is."""
+        identifier, copies = element.get("id"), 0
+        for after in self._copies(identifier):
+            names = _with(identifier, after), _with(name, after)
+            add(*names, position=None if after else position, line=line_of(element))
+            copies += 1
+        return copies
+
+    def _copies(self, identifier: Optional[str]) -> Iterable[str]:
+        """What is put after the name of a transition, for each that it becomes."""
+        return ("",)
 
     def _is_immediate_by_delay(self, delay: etree._Element, what: str) -> bool:
         """Whether TINA's time interval means "at once"; "any time" means the same as no
@@ -369,7 +416,7 @@ class _Reader:
             self.draft.add_arc(said.get("id"), source, target, 1, False, line_of(element))
             return
         what, line = name_of(element, "arc"), line_of(element)
-        self._note_tools(self._check(element, _ARC, what), what)
+        self._note_tools(self._check(element, self.arc_words, what), what)
         kind = arc_kind(element)
         if kind not in ("normal", "inhibitor") and not (kind == "test" and self.tina):
             self.draft.fail(
@@ -385,6 +432,60 @@ class _Reader:
         self.draft.add_arc(identifier, source, target, weight, kind == "inhibitor", line)
         if kind == "test":  # arcs in both directions are equivalent
             self.draft.add_arc(identifier, target, source, weight, False, line)
+
+
+class _ColouredReader(_Reader):
+    """Reads a coloured net: a place for each of its colours, a transition for each binding of its
+    variables; see :mod:`.coloured`."""
+
+    place_words = known(
+        "id", {"type": ANY_CONTENT, "hlinitialMarking": ANY_CONTENT}, free=_FREE + "label tagged"
+    )
+    transition_words = known("id", {"condition": ANY_CONTENT}, free=_FREE + "label tagged")
+    arc_words = known("id source target", {"hlinscription": ANY_CONTENT}, free=_FREE)
+
+    def _read(self) -> None:
+        self._colours = Colours(self.net, self.draft.fail)
+        self._places: List[etree._Element] = []
+        self._transitions: List[etree._Element] = []
+        super()._read()
+
+    def _readers(self) -> Dict[str, Callable[[etree._Element], None]]:
+        return {
+            **super()._readers(),
+            "place": self._places.append,
+            "transition": self._transitions.append,
+            "declaration": lambda element: None,  # read with the colours
+        }
+
+    def _finish(self) -> None:
+        for element in self._places:
+            self._colours.add_place(element)
+        for element in self._transitions:
+            self._colours.add_transition(element)
+        for element in self.arcs:
+            self._check(element, self.arc_words, name_of(element, "arc"))
+            ends = self._resolve(element.get("source")), self._resolve(element.get("target"))
+            self._colours.add_arc(element, *ends)
+        self._colours.demand_size()
+        for element in self._places:
+            self._place(element)
+        for element in self._transitions:
+            self._transition(element)
+        for arc in self._colours.arcs():
+            self.draft.add_arc(arc.identifier, arc.source, arc.target, arc.weight, line=arc.line)
+        self.draft.note("unfolded, with the names PLACE.COLOUR and TRANSITION.VALUES")
+
+    def _contents(self, element: etree._Element, tokens: int) -> Iterable[Tuple[str, int]]:
+        return self._colours.contents(element.get("id", ""))
+
+    def _copies(self, identifier: Optional[str]) -> Iterable[str]:
+        return self._colours.copies(identifier or "")
+
+
+def _with(name: Optional[str], after: str) -> Optional[str]:
+    """A name or id, if there is one, with something after it."""
+    return name + after if name and after else name
 
 
 def _text(parts: vocabulary.Children, name: str) -> Optional[str]:

@@ -71,7 +71,7 @@ def test_prom_writes_means(tmp_path):
 @pytest.mark.parametrize(
     "elements, kind, line, message",
     [
-        ([], "http://www.pnml.org/version-2009/grammar/symmetricnet", 1, "a coloured net"),
+        ([], "http://www.pnml.org/version-2009/grammar/netwithqueues", 1, "are not known"),
         ([], "http://example.org/timed-net", 1, "nets of the type 'http://example.org/timed-net'"),
         (['<place id="p"><hlinitialMarking/></place>'], "", 2, "a coloured net"),
         (
