@@ -79,7 +79,7 @@ LAYERS = {
     "analysis": "Structure, state spaces, Markov chains: model in, result objects out.",
     "execution": "The token game, the event log, the agreement among robots, the standalone "
     "executor.",
-    "making": "New plans, from templates and from maps.",
+    "making": "New plans, from templates, maps and behaviour trees.",
     "testing": "Tests of plans, in virtual time.",
     "fleet": "Months of logs as tables, and reports on them.",
     "team": "The host of a robot's replica, and what carries its messages.",

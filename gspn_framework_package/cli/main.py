@@ -83,6 +83,11 @@ VERB_GROUPS: Dict[str, Dict[str, Verb]] = {
             "build a plan from a topological map and its tasks",
             "build site.tmap2 --tasks tasks.yaml -o site",
         ),
+        "import": Verb(
+            ".importing",
+            "make a plan of a behaviour tree of BehaviorTree.CPP",
+            "import tree.xml -o my_plan --robots 2",
+        ),
         "check": Verb(
             ".check", "check whether a plan may run, before any robot moves", "check my_patrol"
         ),
