@@ -43,7 +43,7 @@ ON_SUCCESS, ON_FAILURE = " succeeds", " fails"
 MOST_LEAVES = 5_000
 """Maximum number of places; repetitions and subtrees multiply."""
 
-MOST_NODES = 100_000
+MOST_TREE_NODES = 100_000
 """Maximum number of nodes, with those that run no action."""
 
 _DEEPEST = 200
@@ -264,7 +264,7 @@ class _Import:
                 raise _refused(element, "the script of %s looks at the blackboard" % str(name))
         self._depth += 1
         self._count += 1
-        if self._count > MOST_NODES:
+        if self._count > MOST_TREE_NODES:
             raise _refused(element, "with its repetitions, the tree has too many nodes")
         if self._depth > _DEEPEST:
             raise _refused(element, "the tree is too deep, or a subtree contains itself")
