@@ -39,7 +39,9 @@ def lines(told: Mapping[str, Any]) -> List[str]:
             task["id"],
             _clock(task["since"]),
             _clock(task["until"]),
-            task["where"] + (" in " + task["place"] if task["robot"] else ""),
+            task["where"]
+            + (" in " + task["place"] if task["robot"] else "")
+            + (", for " + task["to"] if task["to"] and task["to"] != task["robot"] else ""),
             str(task["priority"]),
             str(task["attempts"]),
             task["trouble"],

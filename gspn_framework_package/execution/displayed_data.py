@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from typing import Any, Dict, List, Mapping, Sequence
+from typing import Any, Dict, List, Mapping, Optional, Sequence
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.phase import Phase
@@ -94,7 +94,8 @@ def displayed_tasks(state: TeamState, net: Net) -> Dict[str, Any]:
     """The tasks of a team that are not done, and the last ones that ended.
 
     :returns: ``tasks``: for each its ``id``, ``where`` it is (in words), the ``transition``,
-        ``place`` or ``robot`` there (the others are ""), ``trouble`` ("" if somebody works on it or
+        ``place`` or ``robot`` there (the others are ""), ``to`` (the only robot that may take it;
+        "" for any), ``trouble`` ("" if somebody works on it or
         will), ``priority``, ``attempts`` (how often a robot took it) and ``since`` (seconds since
         1970; None if not known) and ``until`` (when it is late if it still waits; None for never).
         ``ended``: for each its ``id``, ``outcome`` and ``why``, the last
@@ -112,7 +113,8 @@ def displayed_tasks(state: TeamState, net: Net) -> Dict[str, Any]:
                 "transition": "" if found.before is None else net.transitions[found.before].name,
                 "place": "" if place is None else net.places[place].name,
                 "robot": found.robot,
-                "trouble": _trouble(robot) if robot is not None else "",
+                "to": task.to,
+                "trouble": _trouble(robot, state.robots.get(task.to)),
                 "priority": task.priority,
                 "attempts": task.attempts,
                 "since": task.since or None,
@@ -122,8 +124,16 @@ def displayed_tasks(state: TeamState, net: Net) -> Dict[str, Any]:
     return {"tasks": tasks, "ended": [ended._asdict() for ended in state.ended_tasks]}
 
 
-def _trouble(robot: RobotState) -> str:
-    """Why a robot does not go on with its task; "" if it does."""
+def _trouble(robot: Optional[RobotState], to: Optional[RobotState]) -> str:
+    """Why nobody goes on with a task, or will; "" if somebody does.
+
+    :param robot: the robot that has it; None if it waits.
+    :param to: the only robot that may take it; None for any.
+    """
+    if robot is None:
+        if to is None or not to.phase.gone:
+            return ""
+        return "only %s may take it, which is gone: cancel it, or submit another" % to.name
     if robot.phase.gone:
         return "%s is %s: submit the task again, or cancel it" % (
             robot.name,

@@ -119,7 +119,7 @@ class Submit(NamedTuple):
     Tasks of a higher ``priority`` come before others where they wait. ``since``: when it was
     submitted; ``until``: when it is late if it still waits (both whole seconds since 1970; 0:
     unknown, never). ``replaces``: the id of the task that it replaces, which is cancelled; if that
-    has ended, this one is not taken. "" for none.
+    has ended, this one is not taken. "" for none. Only the robot ``to`` may take it; "" for any.
     """
 
     transition: str
@@ -131,6 +131,7 @@ class Submit(NamedTuple):
     since: int = 0
     until: int = 0
     replaces: str = ""
+    to: str = ""
 
 
 class CancelTask(NamedTuple):
@@ -329,7 +330,7 @@ _NAMES = {kind: name for name, kind in _KINDS.items()}
 _OPEN = ("data", "cause", "plan", "mapping")
 """Fields that hold JSON objects of any content."""
 
-_BOUNDED = frozenset((*_OPEN, "digest", "why", "id", "by", "priority", "replaces"))
+_BOUNDED = frozenset((*_OPEN, "digest", "why", "id", "by", "priority", "replaces", "to"))
 """Fields that are checked for more than their type."""
 
 
@@ -341,6 +342,7 @@ _LATER = (
     "since",
     "until",
     "replaces",
+    "to",
     "late",
     "stop",
 )
@@ -469,6 +471,7 @@ def make_submit(
     priority: int = 0,
     until: int = 0,
     replaces: Any = "",
+    to: str = "",
 ) -> Submit:
     """Make the entry for a task from outside.
 
@@ -477,6 +480,7 @@ def make_submit(
     :param priority: tasks with a higher one come before others where they wait.
     :param until: when it is late if it still waits (seconds since 1970; 0: never).
     :param replaces: the id of the task that it replaces; "" for none.
+    :param to: the only robot that may take it; "" for any.
     :raises DataError: the id, the data or the priority cannot be stored.
     """
     name = task_id(task)
@@ -491,7 +495,11 @@ def make_submit(
     other = task_id(replaces)
     if other and other == name:
         raise DataError("a task cannot replace itself; submit it under another id")
-    return Submit(transition, name, dict(data), priority=priority, until=until, replaces=other)
+    if len(to) > ID_LIMIT:
+        raise DataError("the name of a robot is longer than %d characters" % ID_LIMIT)
+    return Submit(
+        transition, name, dict(data), priority=priority, until=until, replaces=other, to=to
+    )
 
 
 def _check_bounds(fields: Dict[str, Any]) -> None:
@@ -520,7 +528,8 @@ def _check_bounds(fields: Dict[str, Any]) -> None:
         raise ValueError("its reason is longer than %d characters" % WHY_LIMIT)
     if len(fields.get("id", "")) > ID_LIMIT:
         raise ValueError("its id is longer than %d characters" % ID_LIMIT)
-    if len(fields.get("replaces", "")) > ID_LIMIT:
-        raise ValueError("the id that it replaces is longer than %d characters" % ID_LIMIT)
+    for key in ("replaces", "to"):
+        if len(fields.get(key, "")) > ID_LIMIT:
+            raise ValueError("its field '%s' is longer than %d characters" % (key, ID_LIMIT))
     if "priority" in fields:
         _check_priority(fields["priority"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import List, Mapping
 
 from gspn_framework_package.execution.phase import Phase
@@ -57,6 +58,15 @@ class Rules:
         self.of_action = [plan.of_action(p) for p in range(len(net.places))]
         """For each place, the output transitions that are not fired by an event."""
         self.submissions = frozenset(net.transition_number(t) for t in plan.submissions)
+        self.takes = {
+            t: [(p, weight) for p, weight in net.inputs[t] if p in self.queues]
+            for t in range(len(net.transitions))
+            if self.has_robots[t] and any(p in self.queues for p, _ in net.inputs[t])
+        }
+        """The transitions by which robots take tasks -> the queues, and how many of each."""
+        self.moves_one = [
+            sum(weight for p, weight in arcs if not self.is_resource[p]) == 1 for arcs in net.inputs
+        ]
         self.urgency = [-1 if t.timed else t.priority for t in net.transitions]
         self.top_urgency = max(self.urgency, default=0)
         self.routing = {
@@ -78,6 +88,26 @@ class Rules:
             for p, weight in self.net.inputs[t]
             if not self.is_resource[p]
         )
+
+    def may_take(self, state: TeamState, robot: RobotState, t: int) -> bool:
+        """Whether the tasks that ``t`` takes are there for ``robot``: those for any robot, and if
+        it moves alone, its own."""
+        own = robot.name if self.moves_one[t] else ""
+        for p, weight in self.takes.get(t, ()):
+            mine = (task for task in state.queues.get(p, ()) if task.to in ("", own))
+            if sum(1 for _ in itertools.islice(mine, weight)) < weight:
+                return False
+        return True
+
+    def why_not_to(self, transition: str) -> str:
+        """Why no robot can be named for the tasks that come in by a transition; "" if one can."""
+        shared = [t for t in self.takes if not self.moves_one[t]]
+        if shared:
+            return "'%s' takes tasks with several robots" % self.net.transitions[shared[0]].name
+        into = self.net.outputs[self.net.transition_number(transition)]
+        if not any(p in self.queues for p, _ in into):
+            return "'%s' leads to no queue" % transition
+        return ""
 
     def gives_back(self, place: int) -> Mapping[str, int]:
         """The resources that a robot returns when it departs from a place: resource place ->
@@ -102,7 +132,9 @@ class Rules:
     def may_interrupt(self, state: TeamState, robot: RobotState, t: int) -> bool:
         """Whether ``t``, the transition of an event, can fire now and take ``robot`` along,
         whatever the robot is doing in its place."""
-        return not state.paused and not robot.paused and self.net.is_enabled(state.marking, t)
+        if state.paused or robot.paused or not self.net.is_enabled(state.marking, t):
+            return False
+        return self.may_take(state, robot, t)
 
     def free_robots(self, state: TeamState, p: int, t: int) -> List[RobotState]:
         """The robots that are done in place ``p`` and free for ``t``, in order of completion.
@@ -112,16 +144,16 @@ class Rules:
         immediate transition.
         """
         robots = [state.robots[name] for name in state.done_in.get(p, ())]
-        return [r for r in robots if self._is_free(r, t)]
+        return [r for r in robots if self._is_free(state, r, t)]
 
-    def _is_free(self, robot: RobotState, t: int) -> bool:
-        return not robot.paused and (
-            robot.request == t or (robot.request == POLICY and not self.net.transitions[t].timed)
-        )
+    def _is_free(self, state: TeamState, robot: RobotState, t: int) -> bool:
+        if robot.paused or not self.may_take(state, robot, t):
+            return False
+        return robot.request == t or (robot.request == POLICY and not self.net.transitions[t].timed)
 
     def _has_free(self, state: TeamState, p: int, t: int, weight: int) -> bool:
         for name in state.done_in.get(p, ()):
-            if self._is_free(state.robots[name], t):
+            if self._is_free(state, state.robots[name], t):
                 weight -= 1
                 if weight == 0:
                     return True
@@ -144,6 +176,8 @@ class Rules:
         if t is None:
             return robot.why or "no transition is enabled"
         missing = self.net.why_disabled(state.marking, t)
+        if not missing and not self.may_take(state, robot, t):
+            return "wants %s: the tasks there are for others" % self.net.transitions[t].name
         for p, weight in self.net.inputs[t]:
             if not self.is_resource[p]:
                 lacking = weight - len(self.free_robots(state, p, t))

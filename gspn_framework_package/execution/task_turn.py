@@ -49,7 +49,7 @@ class TaskTurn(Turn):
             self._fault(None, text % (OUTSIDE_LIMIT, entry.transition, entry.id))
             return
         if self._replaces(entry):
-            task = Task(entry.id, entry.data, entry.priority, entry.since, until=entry.until)
+            task = Task(entry.id, entry.data, entry.priority, entry.since, 0, entry.until, entry.to)
             self._wait_outside(t, task)
         known = self.state.known.setdefault(t, {})
         if carrier is not None:

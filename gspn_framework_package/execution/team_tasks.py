@@ -12,7 +12,7 @@ from gspn_framework_package.model.net import Net
 class Task(NamedTuple):
     """A task with its data (name -> JSON value); ``id`` is "" for a token without a task.
 
-    ``priority``, ``since`` and ``until`` are those of its
+    ``priority``, ``since``, ``until`` and ``to`` are those of its
     :class:`~gspn_framework_package.execution.log_entries.Submit`; ``attempts`` counts how often a
     robot took it.
     """
@@ -23,6 +23,7 @@ class Task(NamedTuple):
     since: int = 0
     attempts: int = 0
     until: int = 0
+    to: str = ""
 
     def to_json(self) -> List[Any]:
         """The task as a JSON value: its id, its data, and, if there are any, the other fields that
@@ -37,12 +38,12 @@ class Task(NamedTuple):
         more = rest[0] if len(rest) == 1 else {}
         if not isinstance(name, str) or len(rest) > 1 or not set(more) <= set(_OF_TASKS):
             raise ValueError("not a task: %.80r" % (data,))
-        if any(type(value) is not int for value in more.values()):
-            raise ValueError("a number of a task is not one: %.80r" % (more,))
+        if any(type(more[key]) is not type(cls._field_defaults[key]) for key in more):
+            raise ValueError("a field of a task has another type: %.80r" % (more,))
         return cls(name, check_values(values, None), **more)
 
 
-_OF_TASKS = ("priority", "since", "attempts", "until")
+_OF_TASKS = ("priority", "since", "attempts", "until", "to")
 
 
 class FoundTask(NamedTuple):

@@ -434,6 +434,10 @@ class _Reducer(TaskTurn):
         if robot.task is not None and robot.task.id:
             text = "is gone with task %s, which %s returns to no queue (on_evict); submit it again"
             self._fault_of_task(robot, text % (robot.task.id, self._name(robot.place)))
+        for found in self.state.tasks():
+            if found.task.to == robot.name and not found.robot:
+                text = "is gone, and task %s waits for it %s"
+                self._fault_of_task(robot, text % (found.task.id, found.where(self.net)))
         if robot.phase is Phase.LOST:
             self._on_lost(robot)
 

@@ -123,6 +123,8 @@ class Turn:
             if not self.rules.may_fire(self.state, t):
                 refused.add(t)
                 continue
+            if not self.rules.may_take(self.state, robot, t):
+                continue
             if best is None or self.rules.urgency[t] > self.rules.urgency[best[0]]:
                 best = (t, robot)
                 if self.rules.urgency[t] == self.rules.top_urgency:
@@ -180,7 +182,7 @@ class Turn:
         if distribution is not None:
             if not distribution.choices:
                 return self._nothing(robot, "the policy makes it wait in this marking")
-            choices = self._of_top_priority(distribution.choices)
+            choices = self._of_top_priority(distribution.choices, robot)
         elif self.rules.policy.matches(self.state.marking, robot.place):
             return self._nothing(
                 robot, "no policy row applies to %s in this marking" % self._name(robot.place)
@@ -192,8 +194,9 @@ class Turn:
                 [
                     (t, self.net.value(self.state.marking, t))
                     for t in leaving
-                    if self.rules.may_fire(self.state, t)
-                ]
+                    if self._may_ask(robot, t)
+                ],
+                robot,
             )
             if not any(weight > 0 for _, weight in choices):
                 return self._nothing(
@@ -214,16 +217,18 @@ class Turn:
             )
         return robot.drawn.transition if robot.drawn else None
 
-    def _of_top_priority(self, choices: Sequence[Tuple[int, float]]) -> Sequence[Tuple[int, float]]:
+    def _may_ask(self, robot: RobotState, t: int) -> bool:
+        """Whether ``t`` can fire now if ``robot`` asks for it."""
+        return self.rules.may_fire(self.state, t) and self.rules.may_take(self.state, robot, t)
+
+    def _of_top_priority(
+        self, choices: Sequence[Tuple[int, float]], robot: RobotState
+    ) -> Sequence[Tuple[int, float]]:
         """The choices without those of lower priority than an enabled choice."""
         priorities = {self.net.transitions[t].priority for t, _ in choices}
         if len(priorities) < 2:
             return choices
-        enabled = [
-            self.net.transitions[t].priority
-            for t, _ in choices
-            if self.rules.may_fire(self.state, t)
-        ]
+        enabled = [self.net.transitions[t].priority for t, _ in choices if self._may_ask(robot, t)]
         floor = max(enabled, default=0)
         return [(t, p) for t, p in choices if self.net.transitions[t].priority >= floor]
 
@@ -335,10 +340,8 @@ class Turn:
                 robot.task = None
         for p, weight in self.net.inputs[t]:
             if p in queues:
-                queue = state.queues.get(p, [])
                 source = "place " + self._name(p)
-                at_hand += [(task, source) for task in queue[:weight]]
-                state.queues[p] = queue[weight:]
+                at_hand += [(task, source) for task in self._take(p, weight, movers)]
         if incoming is not None:
             at_hand.append((incoming, ""))
         for p in wanted:
@@ -365,6 +368,17 @@ class Turn:
             robot.task = task._replace(attempts=task.attempts + (not source.startswith("robot ")))
             moves.append(TaskMove(task.id, source, "robot " + robot.name))
         return tuple(move for move in moves if move.id)
+
+    def _take(self, p: int, weight: int, movers: List[RobotState]) -> List[Task]:
+        """Take tasks out of a queue: the first that are not for other robots."""
+        queue = self.state.queues.get(p, [])
+        for_them = ("", movers[0].name if len(movers) == 1 else "")
+        order = sorted(
+            range(len(queue)), key=lambda i: bool(movers) and queue[i].to not in for_them
+        )
+        taken = set(order[:weight])
+        self.state.queues[p] = [task for i, task in enumerate(queue) if i not in taken]
+        return [queue[i] for i in order[:weight]]
 
     def _drop_task(self, robot: RobotState) -> TaskMove:
         assert robot.task is not None

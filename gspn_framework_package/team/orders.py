@@ -331,9 +331,17 @@ ORDERS: Dict[str, OrderKind] = {
                 label="Replaces the task",
                 placeholder="the id of none",
             ),
+            OrderField(
+                "to",
+                FieldKind.TEXT,
+                "the only robot that may take it (default: any)",
+                required=False,
+                label="Only for the robot",
+                placeholder="any",
+            ),
         ),
-        lambda transition, id, data, priority, until, replace: log_entries.make_submit(
-            transition, id, data, priority, until, replace
+        lambda transition, id, data, priority, until, replace, to: log_entries.make_submit(
+            transition, id, data, priority, until, replace, to
         ),
         example="order --data task.json --id o12",
         note="If it is uncertain whether the team has the task (no answer in time), submit it "

@@ -216,6 +216,10 @@ class StandaloneRun(Activity, Listener):
             why = game.why_not_given_back(team, team.tasks_with(str(about))[0])
         if command == "submit" and values["until"]:
             why = "a run on this server takes no tasks with a time limit"
+        if command == "submit" and values["to"] and not why:
+            why = self._executor.game.why_not_to(values["transition"])
+            if values["to"] not in self._executor.state.robots:
+                why = "there is no agent '%s' in the run" % values["to"][:80]
         if why:
             raise RefusedError(why)
         if values.get("place") in self._plan.resource_places:

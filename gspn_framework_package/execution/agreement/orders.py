@@ -172,13 +172,25 @@ class Orders:
             return "the action of %s did not fail" % name
         if isinstance(entry, log_entries.ABOUT_TASKS):
             return self._why_not_about_task(entry)
-        if (
-            isinstance(entry, log_entries.Submit)
-            and entry.replaces
-            and not self.reactions.has((entry.transition, entry.id))
-        ):
-            return state.ledger.state.why_not_one_task(entry.replaces)
+        if isinstance(entry, log_entries.Submit):
+            return self._why_not_submitted(entry)
         return self._why_not_deployed(entry)
+
+    def _why_not_submitted(self, entry: log_entries.Submit) -> str:
+        """Why a task cannot be taken at present; "" if it can."""
+        team, game = self.state.ledger.state, self.state.ledger.game
+        if self.reactions.has((entry.transition, entry.id)):
+            return ""  # which the answer says
+        if entry.replaces:
+            why = team.why_not_one_task(entry.replaces)
+            if why:
+                return why
+        if not entry.to:
+            return ""
+        robot = self._robot(entry.to)
+        if robot is None or robot.phase.gone:
+            return "there is no robot '%s' in the team" % entry.to
+        return game.why_not_to(team.present_name(entry.transition))
 
     def _why_not_about_task(self, entry: log_entries.TaskOrder) -> str:
         """Why an order about a task is not possible at present; "" if it is."""

@@ -28,11 +28,17 @@ class LoggedTask:
     """A task, or a token of a queue without a task (``id`` "")."""
 
     def __init__(
-        self, task_id: str = "", data: Optional[Mapping[str, Any]] = None, priority: int = 0
+        self,
+        task_id: str = "",
+        data: Optional[Mapping[str, Any]] = None,
+        priority: int = 0,
+        robot: str = "",
     ) -> None:
         self.id = task_id
         self.data: Dict[str, Any] = dict(data or {})
         self.priority = priority
+        self.robot = robot
+        """The only robot that may take it; "" for any."""
 
 
 class Cargo:
@@ -142,7 +148,9 @@ class Cargo:
         return replaced
 
     def _waits(self, entry: log_entries.Submit) -> None:
-        self.outside.append((entry.transition, LoggedTask(entry.id, entry.data, entry.priority)))
+        self.outside.append(
+            (entry.transition, LoggedTask(entry.id, entry.data, entry.priority, entry.to))
+        )
         self._in_order()
 
     def _in_order(self, place: str = "") -> None:
@@ -193,6 +201,17 @@ class Cargo:
             self.queues[place] = [task, *fillers, *self.queues[place]]
             self._in_order(place)
 
+    def are_there(self, t: str, robot: str) -> bool:
+        """Whether the queues have the tasks that ``t`` takes, not counting those for other robots.
+
+        :param robot: the robot that it moves; "" if it moves several.
+        """
+        return all(
+            sum(task.robot in ("", robot) for task in self.queues[p]) >= n
+            for p, n in self._inputs[t].items()
+            if p in self.queues
+        )
+
     # -- firings -----------------------------------------------------------------------------------
 
     def enter(self, t: str) -> Optional[LoggedTask]:
@@ -226,7 +245,9 @@ class Cargo:
         taken: List[Tuple[LoggedTask, str]] = []
         for p, n in self._inputs[t].items():
             for _ in range(n if p in self.queues else 0):
-                taken.append((self.queues[p].pop(0), "place " + p))
+                task = self._first_for([robot for robot, _ in movers], p)
+                self.queues[p].remove(task)
+                taken.append((task, "place " + p))
         if incoming is not None:
             taken.append((incoming, ""))
         loads: Iterator[Tuple[LoggedTask, str]] = iter([*given, *taken])
@@ -251,6 +272,12 @@ class Cargo:
             over = t in self._ends or not source
             moves.append((task.id, source, "done" if over else "dropped"))
         return [move for move in moves if move[0]]
+
+    def _first_for(self, movers: Sequence[str], place: str) -> LoggedTask:
+        """The first task of a queue that is not for a robot other than the one that moves."""
+        alone = movers[0] if len(movers) == 1 else ""
+        theirs = (t for t in self.queues[place] if not movers or t.robot in ("", alone))
+        return next(theirs, self.queues[place][0])
 
 
 def recorded_moves(firing: Record) -> TaskMoves:

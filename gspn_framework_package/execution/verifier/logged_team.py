@@ -219,7 +219,13 @@ class LoggedTeam:
             for r in self._waiting()
             if r.place == place
             and (t in (r.asks, r.may_ask) or (r.asks is None and not self.kind[t].timed))
+            and self._may_take(r, t)
         ]
+
+    def _may_take(self, robot: LoggedRobot, t: str) -> bool:
+        """Whether the tasks that ``t`` takes are there for this robot."""
+        robots = sum(n for p, n in self.inputs[t].items() if p not in self.resources)
+        return self.cargo.are_there(t, robot.name if robots == 1 else "")
 
     def _may_fire(self, t: str) -> bool:
         return self._has_concession(t) and all(
@@ -414,7 +420,9 @@ class LoggedTeam:
         return None
 
     def _may_interrupt(self, robot: LoggedRobot, t: str) -> bool:
-        return not (self.paused or robot.paused) and self._has_concession(t)
+        if self.paused or robot.paused:
+            return False
+        return self._has_concession(t) and self._may_take(robot, t)
 
     def _start(self, entry: log_entries.Start) -> None:
         if self.robots:

@@ -144,7 +144,7 @@ class SlotCheck(LoggedTeam):
         that robots named; if there are none, held events; if there are none, waiting tasks."""
         due = [t for t in self.spontaneous if self._has_concession(t)]
         for robot in self._waiting():
-            if robot.asks is not None and self._may_fire(robot.asks):
+            if robot.asks is not None and self._may_ask(robot, robot.asks):
                 due.append(robot.asks)
         return due or self._held() or self._waiting_tasks()[:1]
 
@@ -213,7 +213,11 @@ class SlotCheck(LoggedTeam):
 
     def _asked(self) -> bool:
         """Whether a transition that a robot named may fire."""
-        return any(r.asks is not None and self._may_fire(r.asks) for r in self._waiting())
+        return any(r.asks is not None and self._may_ask(r, r.asks) for r in self._waiting())
+
+    def _may_ask(self, robot: LoggedRobot, t: str) -> bool:
+        """Whether a transition may fire if this robot asks for it."""
+        return self._may_fire(t) and self._may_take(robot, t)
 
     def _why_not_task(self, firing: Record, t: str) -> str:
         """Why no task arrives through ``t`` now."""
@@ -236,6 +240,8 @@ class SlotCheck(LoggedTeam):
             return "%s is not in the place of the event" % name
         if robot.paused:
             return "%s is paused" % name
+        if not self._may_take(robot, t):
+            return "the tasks there are for other robots than %s" % name
         if (firing["incarnation"], firing["visit"]) != (robot.incarnation, robot.visit):
             return "%s is at visit %d" % (name, robot.visit)
         movers = [(r, source, visit) for r, source, _, visit in firing["moves"] if source]
@@ -356,11 +362,11 @@ class SlotCheck(LoggedTeam):
                 best = (wildcards, number, speaks)
         if best is not None:
             total = sum(p for _, p in best[2])
-            return self._first_priority([(t, p / total) for t, p in best[2]])
+            return self._first_priority([(t, p / total) for t, p in best[2]], robot)
         if matches or self.plan.strict:
             return []
-        open_ones = [(t, self._weight(t)) for t in leaving if self._may_fire(t)]
-        kept = self._first_priority(open_ones)
+        open_ones = [(t, self._weight(t)) for t in leaving if self._may_ask(robot, t)]
+        kept = self._first_priority(open_ones, robot)
         return kept if any(w > 0 for _, w in kept) else []
 
     def _weight(self, t: str) -> float:
@@ -372,10 +378,13 @@ class SlotCheck(LoggedTeam):
         for places, rows in self._rows.items():
             yield from rows.get(tuple(self.marking[p] for p in places), ())
 
-    def _first_priority(self, choices: List[Tuple[str, float]]) -> List[Tuple[str, float]]:
+    def _first_priority(
+        self, choices: List[Tuple[str, float]], robot: LoggedRobot
+    ) -> List[Tuple[str, float]]:
         if len({self.kind[t].priority for t, _ in choices}) < 2:
             return choices
-        floor = max([self.kind[t].priority for t, _ in choices if self._may_fire(t)], default=0)
+        ready = [self.kind[t].priority for t, _ in choices if self._may_ask(robot, t)]
+        floor = max(ready, default=0)
         return [(t, w) for t, w in choices if self.kind[t].priority >= floor]
 
     def _fire(self, slot: int, index: int, firing: Record, direct: Optional[Direct]) -> None:

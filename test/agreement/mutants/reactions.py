@@ -11,6 +11,7 @@ from gspn_framework_package.execution import token_game as token_game_module
 from gspn_framework_package.execution.agreement.local_robot import LocalRobot
 from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.reactions import Reactions
+from gspn_framework_package.execution.rules import Rules
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.net import Net
@@ -286,8 +287,43 @@ def _snapshot_of_state_without(key: str) -> Callable[[], ContextManager[Any]]:
     return apply
 
 
+def _keeps_what_is_cancelled() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def cancel(self: Any, found: Any, *how: Any) -> None:
+            original(self, found, *how)
+            if found.robot:
+                self.state.robots[found.robot].task = found.task
+
+        return cancel
+
+    return wrap(_Reducer, "_cancel_task", make)
+
+
+def _late_in_hand() -> ContextManager[Any]:
+    def make(original: Any) -> Any:
+        def about(self: Any, entry: Any) -> None:
+            original(self, entry._replace(late=False) if hasattr(entry, "late") else entry)
+
+        return about
+
+    return wrap(_Reducer, "_about_task", make)
+
+
+def _first_in_first_out() -> ContextManager[Any]:
+    return mock.patch.object(turn, "by_priority", lambda queue, task, **_: [*queue, task])
+
+
+def _takes_tasks_of_others() -> ContextManager[Any]:
+    return mock.patch.object(Rules, "may_take", lambda self, state, robot, t: True)
+
+
+def _acts_while_stopped() -> ContextManager[Any]:
+    return mock.patch.object(TeamState, "is_stopped", lambda self, robot: False)
+
+
 _REACT = ("react", "react-operator", "react-calm")
 _SNAPSHOTS = ("react-tight", "react-archive")
+_TASKS = ("react-tasks",)
 
 
 def _reacting(
@@ -327,6 +363,16 @@ MUTANTS: List[Mutant] = [
     _reacting("unwritten task", "a task that came is not written down", _writes_no_offer),
     _reacting("forgotten task", "tasks are not read back", _reads_no_offers_back),
     _reacting("task of the first", "only the first member proposes", _leaves_tasks_to_the_first),
+    _reacting(
+        "keeps cancelled",
+        "a robot keeps a task that is cancelled",
+        _keeps_what_is_cancelled,
+        kinds=_TASKS,
+    ),
+    _reacting("late in hand", "a task is late that a robot has", _late_in_hand, kinds=_TASKS),
+    _reacting("no priority", "tasks are taken as they came", _first_in_first_out, kinds=_TASKS),
+    _reacting("of others", "robots take tasks of others", _takes_tasks_of_others, kinds=_TASKS),
+    _reacting("never stops", "a pause stops no action", _acts_while_stopped, kinds=_TASKS),
     _reacting("task let go", "a task is let go once it is proposed", _takes_tasks_for_known),
     Mutant(
         "task of a later plan",

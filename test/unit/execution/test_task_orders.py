@@ -25,6 +25,7 @@ from gspn_framework_package.model.errors import DataError, PlanError
 from gspn_framework_package.model.event import Tasks
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.policy import Policy
 from gspn_framework_package.team.order_fields import seconds_of
 from gspn_framework_package.team.orders import ORDERS
 
@@ -179,6 +180,56 @@ def test_a_task_that_still_waits_when_its_time_is_over_is_late() -> None:
     assert ended(run) == [("o2", "late")] and run.state.robots["a"].task.id == "o1"
 
 
+def test_a_task_may_be_for_one_robot() -> None:
+    run = shop(robots=2)
+    b = log_entries.Submit("order", "o1", to="b")
+    assert run.feed(b) == ["order", "take"]
+    assert run.state.robots["b"].task.id == "o1" and run.state.robots["a"].task is None
+    run.feed(b._replace(id="o2"))
+    assert run.state.robots["a"].why == "no immediate transition is enabled"  # for it
+    assert run.feed(submit("o3")) == ["order", "take"]  # it passes the one that is not for it
+    assert run.state.robots["a"].task.id == "o3" and waiting(run) == ["o2"]
+    assert run.done("b", "delivered") == ["delivered", "take"]
+    assert run.state.robots["b"].task.id == "o2"
+    run.feed(b._replace(id="o4"), log_entries.Leave("b"))
+    told = displayed_tasks(run.state, run.game.net)["tasks"]
+    assert [t["trouble"] for t in told if t["id"] == "o4"] == [
+        "only b may take it, which is gone: cancel it, or submit another"
+    ]
+    again = TeamState.from_json(run.state.to_json(run.game.net), run.game.net, run.game.queues)
+    assert again == run.state
+
+
+def test_a_row_of_the_policy_holds_a_robot_whose_tasks_are_for_others() -> None:
+    plan = replace(
+        plan_of(net_with_way_out(), robots=2),
+        policy=Policy.from_table(["Orders"], [((1,), {"take": 1.0})]),
+    ).validate()
+    run = Run(plan, in_order=True)
+    run.feed(log_entries.Pause("b"), log_entries.Submit("order", "o1", to="b"))
+    why = run.game.why_waiting(run.state, run.state.robots["a"])
+    assert why == "wants take: the tasks there are for others"
+    assert run.feed(log_entries.Resume("b")) == ["take"]
+
+
+def test_several_robots_cannot_take_a_task_for_one() -> None:
+    net = (
+        NetBuilder()
+        .place("Idle")
+        .place("Deliver")
+        .place("Orders")
+        .exponential("order", rate=1, outputs="Orders")
+        .immediate("lift", inputs={"Idle": 2, "Orders": 1}, outputs={"Deliver": 2})
+        .exponential("delivered", rate=1, inputs="Deliver", outputs="Idle")
+        .build()
+    )
+    run = Run(plan_of(net, robots=2))
+    assert run.game.why_not_to("order") == "'lift' takes tasks with several robots"
+    run.feed(log_entries.Submit("order", "o1", to="a"))  # a plan from before: it waits
+    assert run.feed(submit("o2")) == ["order", "lift"]
+    assert waiting(run) == ["o1"]
+
+
 def test_a_team_says_where_its_tasks_are() -> None:
     run = shop(robots=2)
     run.feed(submit("o1")._replace(since=5), submit("o2"), submit("o3"))
@@ -296,6 +347,19 @@ def test_a_plan_without_queues_is_not_adopted_while_a_robot_has_a_task() -> None
     (why,) = plan_change.tasks_in_hand(run.state, new)
     assert why.startswith("a has task o1, but the new plan has no queue")
     assert plan_change.tasks_in_hand(run.state, plan) == []
+
+
+def test_a_task_for_a_robot_that_is_not_there_is_refused() -> None:
+    world = errands()
+    task = log_entries.Submit("order", "t1", to="r9")
+    assert result(world, "r1", task).text == "there is no robot 'r9' in the team"
+    assert result(world, "r1", task._replace(to="r2")).ok
+    world.done("r1", "look")
+    world.done("r1", "home")
+    assert world.started[-1].robot == "r1" and world.started[-1].place == "Roam"
+    given = result(world, "r1", log_entries.Evict("r2", -1))
+    assert given.text.endswith("is gone, and task t1 waits for it in orders")
+    world.check()
 
 
 def test_an_operator_replaces_a_task_once() -> None:
