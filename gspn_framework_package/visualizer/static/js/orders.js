@@ -147,7 +147,7 @@ export class Orders extends EventTarget {
   async order(command, fields = {}) {
     const { model } = this;
     const form = this.table[command];
-    const inputs = this.inputs(command, fields);
+    const inputs = form.title ? this.inputs(command, fields) : [];
     const text = (template) => this.words(template, fields);
     const give = () => {
       const whole = { ...fields, ...valuesOf(inputs) };
