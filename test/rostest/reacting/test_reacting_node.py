@@ -191,11 +191,31 @@ class Reacting(RobotTestCase):
         self.assertFalse(refused.success)
         self.assertIn("is not a JSON object with transition", refused.message)
 
+        # a task is cancelled; a pause stops an action, which is taken up again
+        self.assertEqual(gspn("pause", "robot_1")[0], 0)
+        code, output = gspn("submit", "order", "--id", "no", "--priority", "3")
+        self.assertIn("it is in Orders", output)
+        told = json.loads(gspn("tasks", "--json")[1])
+        self.assertEqual(
+            [(task["id"], task["where"], task["priority"]) for task in told["tasks"]],
+            [("no", "in Orders", 3)],
+        )
+        self.assertIn("it was cancelled (in Orders)", gspn("cancel", "no")[1])
+        self.assertEqual(gspn("cancel", "no")[0], 1)
+        self.assertEqual(gspn("resume", "robot_1")[0], 0)
+        works, stops = (len(self.told("robot_2", what)) for what in ("works", "stops"))
+        self.assertEqual(gspn("pause", "robot_2", "--stop")[0], 0)
+        wait_for(lambda: len(self.told("robot_2", "stops")) > stops, what="the end of the action")
+        self.assertIn("its action is stopped", gspn("status")[1])
+        self.assertEqual(len(self.told("robot_2", "works")), works)
+        self.assertEqual(gspn("resume", "robot_2")[0], 0)
+        wait_for(lambda: len(self.told("robot_2", "works")) > works, what="the work goes on")
+
         team.wait_for_agreement()
         self.assertEqual(
             [line[2] for line in self.told("robot_1", "delivers")], ["both", "kept", "mine"]
         )
-        self.assertEqual(one.logged_transitions().count("order"), 3)
+        self.assertEqual(one.logged_transitions().count("order"), 4)
         self.assertIsNone(team.verify())
 
     def test_a_plan_whose_events_do_not_fit_their_topics_does_not_start(self):
