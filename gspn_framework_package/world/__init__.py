@@ -9,9 +9,9 @@
 ``grid``, ``avoidance``, ``yielding``, ``navigation``
     navigation from a pose to a goal: global path, velocity among other robots, making room for
     them, the navigator of one robot.
-``driving_team``, ``patrol``, ``traffic``, ``referee``
-    the world without ROS: driving robots, the patrol's actions, the rule of the plan, and a referee
-    that watches.
+``driving_team``, ``faults``, ``patrol``, ``traffic``, ``referee``
+    the world without ROS: driving robots, what goes wrong, the patrol's actions, the rule of the
+    plan, and a referee that watches.
 ``node``, ``robot_topics``, ``robot_urdf``, ``messages``, ``move_base``, ``gazebo_services``
     the world as a ROS node.
 ``base_client``, ``patrol_actions``

@@ -90,8 +90,8 @@ def make_floor(client: Any, room: Room) -> int:
     return int(floor)
 
 
-def make_solid(client: Any, solid: Obstacle) -> None:
-    """Create a wall or an obstacle."""
+def make_solid(client: Any, solid: Obstacle) -> int:
+    """Create a wall or an obstacle; return its id."""
     if isinstance(solid, Cylinder):
         yaw = 0.0
         shape = client.createCollisionShape(
@@ -113,7 +113,7 @@ def make_solid(client: Any, solid: Obstacle) -> None:
         )
     middle = [*solid.at, solid.height / 2]
     turned = pybullet.getQuaternionFromEuler([0, 0, yaw])
-    client.createMultiBody(0, shape, look, middle, turned)
+    return int(client.createMultiBody(0, shape, look, middle, turned))
 
 
 AWAY = (0.0, 0.0, -10.0)

@@ -7,9 +7,11 @@ class.
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 from typing import Callable, Dict, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.world.avoidance import OtherRobot
+from gspn_framework_package.world.faults import Faults
 from gspn_framework_package.world.grid import Grid
 from gspn_framework_package.world.navigation import Navigator, Observation
 from gspn_framework_package.world.people import Walker, halted
@@ -33,6 +35,7 @@ class DrivingTeam:
     :param drift: of the odometry, as :class:`.Physics` takes it.
 
     :ivar people: the people of the room, whether they are there or not.
+    :ivar faults: what goes wrong.
     """
 
     def __init__(
@@ -54,6 +57,7 @@ class DrivingTeam:
         }
         self.people = self._walkers()
         self._teleop: Dict[str, Tuple[float, float, float]] = {}
+        self.faults = Faults(self.physics, self.close_doors)
 
     def _walkers(self) -> Tuple[Walker, ...]:
         return tuple(
@@ -94,6 +98,7 @@ class DrivingTeam:
 
         :param time: set the time back to 0 too; people come as at the start.
         """
+        self.faults.reset(time)
         self.physics.reset(time)
         self._teleop.clear()
         for navigator in self.navigators.values():
@@ -101,12 +106,27 @@ class DrivingTeam:
         if time:
             self.people = self._walkers()
 
+    def close_doors(self, names: Sequence[str]) -> None:
+        """Close these doors, and open all others; robots and people find their ways anew."""
+        doors = self.room.doors
+        for name in doors:
+            self.physics.place_door(name, name in names)
+        closed = tuple(doors[name] for name in names)
+        room = replace(self.room, obstacles=(*self.room.obstacles, *closed))
+        self.grid = Grid(room)
+        for navigator in self.navigators.values():
+            navigator.use_grid(self.grid)
+        for walker in self.people:
+            walker.use_room(room)
+
     def step(self, after: Callable[[], None] = lambda: None) -> None:
         """Advance by :data:`CONTROL_PERIOD`: a step of each person, one command for each robot,
         then the physics.
 
         :param after: called after each step of the physics.
         """
+        for name in self.faults.step(self.people):
+            self.navigators[name].plan_anew()
         peers = self.peers()
         poses = [peer.pose for peer in peers]
         for number, walker in enumerate(self.people):
@@ -125,7 +145,9 @@ class DrivingTeam:
             after()
 
     def _drive(self, robot: str, pose: Pose, speed: float, turn_rate: float) -> None:
-        """Command a robot's motors, but not to drive towards a person nearby."""
+        """Command a robot's motors, but not to drive towards a person nearby, or while blocked."""
+        if self.faults.has("blocked", robot):
+            speed = turn_rate = 0.0
         if halted(pose, speed, self.room.robot.radius, self.people):
             speed = 0.0
         self.physics.drive(robot, speed, turn_rate)

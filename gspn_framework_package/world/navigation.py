@@ -163,6 +163,12 @@ class Navigator:
         self._last_moved.clear()
         self.plan_anew()
 
+    def use_grid(self, grid: Grid) -> None:
+        """Find paths on another grid from now on, since a door has opened or closed."""
+        self._grid = grid
+        self._yield = None
+        self.plan_anew()
+
     def plan_anew(self) -> None:
         """Search for the path again in the next step."""
         self._field, self._field_key, self._field_time = None, (), -math.inf

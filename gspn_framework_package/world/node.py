@@ -34,6 +34,7 @@ from gspn_framework_package.model.errors import GspnError, InputError
 from gspn_framework_package.ros.options import launched_file
 from gspn_framework_package.world import messages
 from gspn_framework_package.world.driving_team import DrivingTeam
+from gspn_framework_package.world.faults import read_fault
 from gspn_framework_package.world.gazebo_services import GazeboServices
 from gspn_framework_package.world.move_base import MAP_FRAME
 from gspn_framework_package.world.parameters import number_parameter, robot_names
@@ -89,6 +90,9 @@ class WorldNode:
         self._room = rospy.Publisher("/world/room", String, queue_size=1, latch=True)
         self._state = rospy.Publisher("/world/state", String, queue_size=2)
         self._report = rospy.Publisher("/world/referee", String, queue_size=1, latch=True)
+        self._faults = rospy.Publisher("/world/faults", String, queue_size=1, latch=True)
+        self._fault_text = ""
+        rospy.Subscriber("/world/fault", String, self._take_fault, queue_size=20)
         self._robots = [RobotTopics(name, self.team, self._inbox.put, sensing) for name in robots]
         self._gazebo = GazeboServices(self._in_world, self._reset)
         grid = messages.map_message(self.team.grid, MAP_FRAME)
@@ -126,6 +130,25 @@ class WorldNode:
             if rospy.is_shutdown():
                 raise rospy.ServiceException("the world has ended")
 
+    def _take_fault(self, message: String) -> None:
+        """Have a fault happen that was ordered on ``/world/fault``."""
+
+        def order() -> None:
+            try:
+                self.team.faults.order(read_fault(json.loads(message.data)))
+            except ValueError as error:
+                self.team.faults.refused = str(error)
+                rospy.logwarn("world: no such fault: %s", error)
+
+        self._inbox.put(order)
+
+    def _report_faults(self) -> None:
+        """Publish what goes wrong when that changes."""
+        text = json.dumps(self.team.faults.report())
+        if text != self._fault_text:
+            self._fault_text = text
+            self._faults.publish(text)
+
     def _reset(self, time_too: bool) -> None:
         self.team.reset(time_too)
         if time_too:
@@ -146,6 +169,7 @@ class WorldNode:
         self.team.step(self._publish)
         self.referee.watch()
         self._report_people()
+        self._report_faults()
         if self.recorder is not None:
             self.recorder.record()
         for robot in self._robots:
@@ -258,6 +282,14 @@ def main() -> int:
                 element="spawn",
                 hint="add poses, or start fewer robots",
             )
+        for number, fault in enumerate(room.faults):
+            if fault.robot and fault.robot not in robots:
+                raise InputError(
+                    "there is no robot '%s'" % fault.robot,
+                    file=room_file,
+                    element="faults[%d]" % number,
+                    hint="the robots are %s" % ", ".join(robots),
+                )
         factor, duration = (
             number_parameter("real_time_factor", 1.0),
             number_parameter("duration", 0.0),

@@ -68,16 +68,24 @@ class Walker:
         self.person = person
         self.at: Optional[Point] = None
         self.visits = 0
-        # the grid is that of a robot as large as the person
-        self._grid = Grid(replace(room, robot=replace(room.robot, radius=person.radius)))
+        self.use_room(room)
         self._radius = room.robot.radius
         self._source = source
         self._comes = source.expovariate(1.0 / person.away_mean)
         self._leg = 0
         self._stands_until = 0.0
-        self._field: Optional[Field] = None
         self._planned = 0.0
         self._moved = 0.0
+
+    def use_room(self, room: Room) -> None:
+        """Find paths in another room from now on, since a door has opened or closed."""
+        # the grid is that of a robot as large as the person
+        self._grid = Grid(replace(room, robot=replace(room.robot, radius=self.person.radius)))
+        self._field: Optional[Field] = None
+
+    def come(self, time: float) -> None:
+        """Come in at this time in seconds, or as soon as the entrance is free."""
+        self._comes = time
 
     def gap(self, pose: Pose, radius: float) -> float:
         """Metres between the person and a robot; infinite if the person is absent."""

@@ -107,6 +107,9 @@ class Physics:
         self._floor = make_floor(self._client, room)
         for solid in room.solids():
             make_solid(self._client, solid)
+        self._doors = {name: make_solid(self._client, door) for name, door in room.doors.items()}
+        for name in room.doors:
+            self.place_door(name, False)
         self._people = [make_person(self._client, person) for person in room.people]
         self._where: List[Optional[Point]] = [None] * len(room.people)
         self._met: Set[Tuple[str, int]] = set()
@@ -204,6 +207,24 @@ class Physics:
             AWAY if at is None else [at[0], at[1], height / 2],
             [0.0, 0.0, 0.0, 1.0],
         )
+
+    def place_door(self, name: str, closed: bool) -> None:
+        """Put the body of a door into its place, or away."""
+        door = self.room.doors[name]
+        self._client.resetBasePositionAndOrientation(
+            self._doors[name],
+            [*door.at, door.height / 2] if closed else AWAY,
+            self._client.getQuaternionFromEuler([0, 0, door.yaw]),
+        )
+
+    def grip(self, robot: str, wheel: int, friction: float) -> None:
+        """Set the friction of a wheel on the floor.
+
+        :param wheel: 0 left, 1 right.
+        :param friction: 1 is that of a sound wheel.
+        """
+        body = self._bodies[robot].unique_id
+        self._client.changeDynamics(body, wheel, lateralFriction=friction)
 
     def step(self) -> None:
         """Advance by :data:`TIME_STEP`."""

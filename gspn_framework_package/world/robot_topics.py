@@ -131,7 +131,8 @@ class RobotTopics:
             self._joints.publish(messages.joint_message(WHEEL_JOINTS, wheels, stamp))
         if self._imu.get_num_connections():
             self._publish_imu(pose, stamp)
-        if step % SCAN_STEPS == 0 and self._scan.get_num_connections():
+        dark = self._team.faults.has("lidar", name)
+        if step % SCAN_STEPS == 0 and self._scan.get_num_connections() and not dark:
             ranges = self._noisy(physics.scan(name), step)
             frame = self._frame("base_scan")
             self._scan.publish(messages.scan_message(ranges, self._team.room.robot, stamp, frame))

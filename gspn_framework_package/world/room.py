@@ -244,6 +244,32 @@ ROBOT_TYPES: Mapping[str, RobotType] = {
 
 
 @dataclass(frozen=True)
+class RoomFault:
+    """Something that goes wrong, for tests of plans.
+
+    :param kind: what: a key of :data:`.FAULT_KINDS`, which also says which of the rest it has.
+    :param time: when, in seconds of world time.
+    :param robot: whose.
+    :param wheel: which one slips: ``left``, ``right`` or ``both``.
+    :param grip: the friction that is left between a wheel and the floor; 1 is that of a sound one.
+    :param lasts: seconds until it is over.
+    :param to: where the robot is carried.
+    :param door: which one closes.
+    :param person: the number of the person who comes.
+    """
+
+    kind: str
+    time: float = 0.0
+    robot: str = ""
+    wheel: str = "both"
+    grip: float = 0.0
+    lasts: float = math.inf
+    to: Pose = Pose(0.0, 0.0)
+    door: str = ""
+    person: int = 0
+
+
+@dataclass(frozen=True)
 class Room:
     """A room and its contents, as described by the room file.
 
@@ -256,6 +282,8 @@ class Room:
     :param temperature: the temperature field.
     :param robot: size and limits of the robots.
     :param people: who walks in.
+    :param doors: boxes that are there only while the door of that name is closed.
+    :param faults: what goes wrong by itself.
     """
 
     name: str
@@ -268,6 +296,8 @@ class Room:
     temperature: TemperatureField = TemperatureField()
     robot: RobotType = RobotType()
     people: Tuple[Person, ...] = ()
+    doors: Mapping[str, Box] = field(default_factory=dict)
+    faults: Tuple[RoomFault, ...] = ()
 
     def wall_boxes(self) -> List[Box]:
         """The walls as boxes, one per straight section, long enough to close the corners."""

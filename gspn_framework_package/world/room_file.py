@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Union
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple, Union
 
 import jsonschema
 
@@ -17,6 +17,7 @@ from gspn_framework_package.formats.source import read_text
 from gspn_framework_package.formats.yaml_file import YamlDocument, path_text
 from gspn_framework_package.model.errors import InputError, closest
 from gspn_framework_package.model.net import Point
+from gspn_framework_package.world.faults import check_fault, read_fault
 from gspn_framework_package.world.room import (
     ROBOT_TYPES,
     Area,
@@ -29,6 +30,7 @@ from gspn_framework_package.world.room import (
     Pose,
     RobotType,
     Room,
+    RoomFault,
     TemperatureField,
 )
 from gspn_framework_package.world.room_check import check_room
@@ -56,6 +58,12 @@ _POSITIVE = {"type": "number", "minimum": 0.001, "maximum": 10_000}
 _NOT_NEGATIVE = {"type": "number", "minimum": 0, "maximum": 1_000_000}
 _COLOR = {"type": "string", "pattern": "^#[0-9a-fA-F]{6}$"}
 _SOLID = {"at": _POINT, "height": _POSITIVE, "color": _COLOR}
+_BOX = _record(
+    ["at", "size"],
+    size={"type": "array", "items": _POSITIVE, "minItems": 2, "maxItems": 2},
+    yaw=_NUMBER,
+    **_SOLID,
+)
 _POINTS = {"type": "array", "items": _POINT, "minItems": 1}
 
 ROOM_SCHEMA: Dict[str, Any] = _record(
@@ -65,15 +73,9 @@ ROOM_SCHEMA: Dict[str, Any] = _record(
     wall_thickness=_POSITIVE,
     wall_height=_POSITIVE,
     cylinders={"type": "array", "items": _record(["at", "radius"], radius=_POSITIVE, **_SOLID)},
-    boxes={
-        "type": "array",
-        "items": _record(
-            ["at", "size"],
-            size={"type": "array", "items": _POSITIVE, "minItems": 2, "maxItems": 2},
-            yaw=_NUMBER,
-            **_SOLID,
-        ),
-    },
+    boxes={"type": "array", "items": _BOX},
+    doors={"type": "object", "additionalProperties": _BOX},
+    faults={"type": "array", "items": {"type": "object", "required": ["time"]}},
     locations={
         "type": "object",
         "additionalProperties": _record(
@@ -177,8 +179,20 @@ def parse_room(text: str, file: Optional[str] = None) -> Room:
         raise _refusal(first, document, len(problems) - 1)
     data = document.data
     room = _build(data)
+    room = replace(room, faults=_faults(room, document))
     check_room(room, document)
     return room
+
+
+def _faults(room: Room, document: YamlDocument) -> Tuple[RoomFault, ...]:
+    faults = []
+    for number, data in enumerate(document.data.get("faults", [])):
+        try:
+            faults.append(read_fault(data))
+            check_fault(faults[-1], room)
+        except ValueError as error:
+            raise document.error(str(error), ("faults", number), "see docs/world.md") from None
+    return tuple(faults)
 
 
 def _refusal(problem: Any, document: YamlDocument, more: int) -> InputError:
@@ -231,12 +245,15 @@ def load_room(file: Union[str, Path]) -> Room:
     return parse_room(text, str(file))
 
 
+def _box(entry: Mapping[str, Any]) -> Box:
+    return Box(**{**entry, "at": _point(entry["at"]), "size": _point(entry["size"])})
+
+
 def _build(data: Mapping[str, Any]) -> Room:
     obstacles: List[Obstacle] = [
         Cylinder(**{**entry, "at": _point(entry["at"])}) for entry in data.get("cylinders", [])
     ]
-    for entry in data.get("boxes", []):
-        obstacles.append(Box(**{**entry, "at": _point(entry["at"]), "size": _point(entry["size"])}))
+    obstacles += [_box(entry) for entry in data.get("boxes", [])]
     locations = {
         name: Location(
             name=name,
@@ -265,6 +282,7 @@ def _build(data: Mapping[str, Any]) -> Room:
             ),
         ),
         robot=replace(ROBOT_TYPES[robot.pop("model", "burger")], **robot),
+        doors={name: _box(entry) for name, entry in data.get("doors", {}).items()},
         people=tuple(
             Person(**{**entry, "path": tuple(_point(point) for point in entry["path"])})
             for entry in data.get("people", [])

@@ -2,6 +2,7 @@
 """A robot of the world as Gazebo has it: no move_base and no amcl but those of the user, and the
 topics, frames and services that a TurtleBot3 in Gazebo has for them."""
 
+import json
 import math
 import os
 import sys
@@ -19,6 +20,7 @@ from nav_msgs.msg import OccupancyGrid, Odometry
 from nav_msgs.srv import GetMap
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState, LaserScan
+from std_msgs.msg import String
 from std_srvs.srv import Empty
 from tf2_msgs.msg import TFMessage
 
@@ -170,7 +172,24 @@ class TestOwnNodes(unittest.TestCase):
         odometry.wait(lambda message: message.twist.twist.linear.x == 0.0)
         self.assertFalse(self.is_at_start(odometry.messages[-1]))
 
-    def test_6_the_world_stands_still_and_goes_on_and_back_as_in_gazebo(self):
+    def test_6_a_fault_that_is_ordered_happens_and_one_that_cannot_be_is_refused(self):
+        faults = self.heard("/world/faults", String)
+        scans = self.heard("/robot_1/scan", LaserScan)
+        odometry = self.heard("/robot_1/odom", Odometry)
+        scans.wait()
+        orders = rospy.Publisher("/world/fault", String, queue_size=1, latch=True)
+        orders.publish(json.dumps({"fault": "lidar", "robot": "robot_1"}))
+        faults.wait(lambda message: json.loads(message.data)["active"])
+        seen, now = len(scans.messages), odometry.wait().header.stamp
+        odometry.wait(lambda message: (message.header.stamp - now).to_sec() > 2.0)
+        self.assertLessEqual(len(scans.messages), seen + 1)  # one was under way
+        orders.publish(json.dumps({"fault": "lidar", "robot": "robot_1", "lasts": 0}))
+        scans.wait(lambda message: message.header.stamp > now)
+        orders.publish(json.dumps({"fault": "fire"}))
+        refused = faults.wait(lambda message: json.loads(message.data)["refused"])
+        self.assertIn("'fault' is not one of", refused.data)
+
+    def test_7_the_world_stands_still_and_goes_on_and_back_as_in_gazebo(self):
         odometry = self.heard("/robot_1/odom", Odometry)
         odometry.wait()
         # its answer comes from the thread that steps the world: after it there are only messages that
