@@ -78,10 +78,14 @@ class Result:
         records = self._shown()
         return "\n".join([*self._heading(), *(text_table(records) if records else ())])
 
+    def _html_parts(self) -> Tuple[Sequence[str], Records]:
+        """The heading and the rows that a notebook shows."""
+        return self._heading(), self._shown()
+
     def _repr_html_(self) -> str:
-        records = self._shown()
-        heading = "<pre>%s</pre>" % html.escape("\n".join(self._heading()))
-        return heading + (html_table(records) if records else "")
+        heading, records = self._html_parts()
+        above = "<pre>%s</pre>" % html.escape("\n".join(heading))
+        return above + (html_table(records) if records else "")
 
 
 class CheckResult(Result):
@@ -109,6 +113,9 @@ class CheckResult(Result):
 
     def _shown(self) -> Records:
         return ()
+
+    def _html_parts(self) -> Tuple[Sequence[str], Records]:
+        return [self.verdict], self._records()
 
 
 class StatesResult(Result):
@@ -308,12 +315,16 @@ class ProofResult(Result):
                 "question": answer.question.statement,
                 "verdict": answer.verdict,
                 "decided by": answer.decided_by,
+                "firings": ", ".join(answer.sequence or ()),
             }
             for answer in self._answers
         ]
 
     def _shown(self) -> Records:
         return ()
+
+    def _html_parts(self) -> Tuple[Sequence[str], Records]:
+        return ["proven" if self.proven else "not all is proven"], self._records()
 
 
 class QueryResult(Result):

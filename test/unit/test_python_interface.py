@@ -257,6 +257,8 @@ def test_an_answer_shows_itself_and_gives_its_numbers_away(plan, question, monke
     assert len(repr(answer).splitlines()) >= 1
     shown = answer._repr_html_()
     assert "<pre>" in shown
+    if question in ("check", "steady", "transient", "passage", "prove", "simulate", "run"):
+        assert "<table>" in shown
     assert "<script" not in shown
     monkeypatch.setitem(sys.modules, "pandas", types.SimpleNamespace(DataFrame=list))
     rows = answer.to_frame()
