@@ -12,7 +12,7 @@ import json
 import sys
 from typing import List, Optional
 
-from agreement.mutants import MUTANTS, hunt
+from agreement.mutants import MUTANTS, Caught, hunt
 from gspn_framework_package.model.errors import UsageError
 
 
@@ -37,8 +37,11 @@ def main(arguments: Optional[List[str]] = None) -> int:
     for mutant in MUTANTS:
         if args.names and mutant.name not in args.names:
             continue
-        caught = hunt(mutant, args.limit, args.seed)
-        missed += caught.schedules is None
+        if mutant.harmless:
+            caught = Caught(None, "", mutant.harmless)
+        else:
+            caught = hunt(mutant, args.limit, args.seed)
+            missed += caught.schedules is None
         if args.json:
             print(
                 json.dumps({"mutant": mutant.name, "part": mutant.part, **caught._asdict()}),
@@ -46,6 +49,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
             )
         else:
             after = "NOT CAUGHT" if caught.schedules is None else "after %d" % caught.schedules
+            after = "harmless" if mutant.harmless else after
             print(
                 "%-16s %-11s %-12s %s" % (mutant.name, mutant.part, after, caught.text[:120]),
                 flush=True,

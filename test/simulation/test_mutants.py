@@ -78,7 +78,8 @@ QUICK = (
 )
 
 
-TARGETED = [m.name for m in MUTANTS if m.seeds or m.transcript]  # with schedules of their own
+TARGETED = [m.name for m in MUTANTS if m.seeds or m.transcript or m.test]
+"""Those with schedules, a transcript or a unit test of their own."""
 
 
 @pytest.mark.parametrize(
@@ -90,4 +91,12 @@ def test_a_seeded_fault_is_caught(mutant) -> None:
 
 
 def test_no_quick_mutant_was_renamed() -> None:
-    assert set(QUICK) <= {m.name for m in MUTANTS}
+    names = [m.name for m in MUTANTS]
+    assert set(QUICK) <= set(names)
+    assert len(set(names)) == len(names)
+
+
+def test_a_fault_that_nothing_can_find_has_its_reason() -> None:
+    harmless = [m for m in MUTANTS if m.harmless]
+    assert all(m.harmless.endswith(".") for m in harmless)
+    assert not {m.name for m in harmless} & {*QUICK, *TARGETED}

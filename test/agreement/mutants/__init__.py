@@ -1,4 +1,5 @@
-"""Deliberate faults in the protocol, the token game and the host, to confirm that they are caught.
+"""Deliberate faults in the protocol, the token game, the host, the verifier and what messages pass,
+to confirm that they are caught.
 
 A simulation and a checker that find no fault prove nothing unless they find planted ones. Each
 mutant breaks one rule on purpose; :func:`hunt` runs schedules until one fails.
@@ -9,12 +10,14 @@ from __future__ import annotations
 from typing import List
 
 from agreement.mutants import (
+    checks,
     deployment,
     host,
     memory,
     outage,
     protocol,
     reactions,
+    survivors,
     token_game,
 )
 from agreement.mutants.mutant import (
@@ -33,5 +36,7 @@ MUTANTS: List[Mutant] = [
     *outage.MUTANTS,
     *reactions.MUTANTS,
     *deployment.MUTANTS,
+    *survivors.MUTANTS,
+    *checks.MUTANTS,
 ]
 """All of them, by the part of the program that they are in."""

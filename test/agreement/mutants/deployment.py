@@ -138,11 +138,12 @@ MUTANTS: List[Mutant] = [
         seeds=("58:3:full:deploy",),
     ),
     _deploying("any state", "a plan is adopted that does not fit", _adopts_in_any_state),
-    _deploying(
+    Mutant(
         "lost tasks",
+        "deployment",
         "a plan is adopted that has no place for tasks",
         _loses_tasks,
-        seeds=("67:3:full:deploy",),
+        test="execution/test_plan_change.py::test_tasks_that_wait_carry_over_and_are_never_dropped",
     ),
     _deploying("votes stay", "votes on one plan count for the next", _keeps_votes_of_other_stages),
     _deploying("votes once", "a robot that restarts does not vote again", _never_votes_again),

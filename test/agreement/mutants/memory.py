@@ -552,9 +552,8 @@ MUTANTS: List[Mutant] = [
         "memory",
         "what a lost memory announced stands before the return of its robot",
         _lets_lost_lives_stand,
-        partial=True,
-        kinds=("tight",),
-        # rare in schedules; a test of Replica in test/unit/execution finds it
+        test="execution/test_replica.py::"
+        "test_what_another_memory_of_a_life_announced_does_not_stand_before_its_return",
     ),
     Mutant(
         "not itself",

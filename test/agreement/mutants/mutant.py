@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import functools
+import importlib.util
 import random
+from pathlib import Path
 from typing import Any, Callable, ContextManager, Iterator, NamedTuple, Optional, Sequence
 from unittest import mock
+
+import pytest
 
 from agreement.schedule import Schedule, run_schedule
 from agreement.transcript import FOLDER, played, read, text_of
 from agreement.world import ViolationError
+
+UNIT_TESTS = Path(__file__).parents[2] / "unit"
 
 
 class Mutant(NamedTuple):
@@ -31,6 +38,11 @@ class Mutant(NamedTuple):
     transcript: str = ""
     """The story, in ``test/agreement/transcripts``, that goes another way with it: no schedule
     finds it."""
+    test: str = ""
+    """The unit test, as ``execution/test_replica.py::test_...``, that fails with it, where no
+    schedule finds it."""
+    harmless: str = ""
+    """Why it changes nothing that counts, in one sentence; it is not hunted."""
 
 
 class Caught(NamedTuple):
@@ -45,7 +57,7 @@ class Caught(NamedTuple):
 def hunt(
     mutant: Mutant, limit: int, first_seed: int = 0, sizes: Sequence[int] = (2, 3, 5)
 ) -> Caught:
-    """Play the mutant's transcript, or run schedules with it until one fails.
+    """Play the mutant's transcript or call its unit test, or run schedules with it until one fails.
 
     :param limit: the maximum number of schedules.
     :param first_seed: the seed of the first one; each further seed is one higher.
@@ -53,6 +65,8 @@ def hunt(
     """
     if mutant.transcript:
         return _hunt_in_transcript(mutant)
+    if mutant.test:
+        return _hunt_in_test(mutant)
     with mutant.apply():
         for i in range(limit):
             if i < len(mutant.seeds):
@@ -80,6 +94,27 @@ def _hunt_in_transcript(mutant: Mutant) -> Caught:
             text = "'%s' where the transcript has '%s'" % (line, expected)
             return Caught(1, mutant.transcript, text)
     return Caught(None, "", "the transcript %s goes as it should" % mutant.transcript)
+
+
+def _hunt_in_test(mutant: Mutant) -> Caught:
+    path, name = mutant.test.split("::")
+    test = getattr(_unit_tests(path), name)
+    try:
+        with mutant.apply():
+            test()
+    except (Exception, pytest.fail.Exception) as error:
+        return Caught(1, mutant.test, "%s: %s" % (type(error).__name__, error))
+    return Caught(None, "", "%s passes" % mutant.test)
+
+
+@functools.lru_cache(maxsize=None)
+def _unit_tests(path: str) -> Any:
+    """A module of unit tests."""
+    found = importlib.util.spec_from_file_location("unit_tests_of_mutants", UNIT_TESTS / path)
+    assert found is not None and found.loader is not None
+    module = importlib.util.module_from_spec(found)
+    found.loader.exec_module(module)
+    return module
 
 
 def _random_schedule(mutant: Mutant, seed: int, sizes: Sequence[int]) -> Schedule:

@@ -12,7 +12,8 @@ from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.model.marking_function import parse_value, quoted_place
 from meaning.comparing import COMPARISONS, Case, told_by
-from meaning.mutant import applied, hunt, source_of
+from meaning.edited import applied, source_of
+from meaning.mutant import hunt
 from meaning.mutants import MUTANTS
 from meaning.plans import FAMILIES, made
 

@@ -444,6 +444,51 @@ def test_what_is_left_out_is_found(lie: Callable[[List[EventLog]], None], rule: 
     assert violation.rule == rule, violation
 
 
+def what_breaks(logs: List[EventLog]) -> str:
+    violation = verify(logs).violation
+    assert violation is not None
+    return violation.text
+
+
+def last_vote(log: EventLog) -> int:
+    return max(i for i, r in enumerate(log.records) if r["kind"] == "accepted")
+
+
+def test_votes_of_one_slot_from_two_memories_are_found() -> None:
+    logs = story(TOKENS)
+    two_memories(logs)
+    assert "from two memories" in what_breaks(logs)
+
+
+def test_a_vote_in_a_slot_that_is_not_open_is_found() -> None:
+    logs = story(TOKENS)
+    logs[1].records[last_vote(logs[1])]["slot"] += 1
+    assert "but its first open slot is" in what_breaks(logs)
+
+
+def test_a_later_vote_for_another_batch_is_found() -> None:
+    logs = story(TOKENS)
+    at = last_vote(logs[1])
+    later = dict(logs[1].records[at], ballot=[99, "r2", ""], batch=[])
+    logs[1].records.insert(at + 1, later)
+    assert "after one was chosen" in what_breaks(logs)
+
+
+def test_a_visit_that_is_skipped_is_named() -> None:
+    logs = story(TOKENS)
+    everywhere(other_visit)(logs)
+    assert "would skip from visit" in what_breaks(logs)
+
+
+def test_a_draw_that_is_older_than_the_marking_is_named() -> None:
+    logs = story(TOUR)
+    for log in logs:
+        drawn = [f for record in slots(log) for f in record["firings"] if f.get("drawn")]
+        drawn[-1]["drawn"] = [1, 0]
+    rechain(logs)
+    assert "the draw is older than the marking" in what_breaks(logs)
+
+
 def test_a_local_transition_that_leads_elsewhere_is_found() -> None:
     logs = story(TOKENS, partial=True)
     record = next(r for log in logs for r in log.records if r["kind"] == "private")

@@ -773,6 +773,7 @@ def test_a_robot_that_lost_its_log_is_no_witness_of_a_start() -> None:
     other.start()
     world.run(world.now + 2)
     assert not world.replica("r1").active  # the other one knows only this process, now
+    assert not world.replica("r1").state.amnesic
 
 
 @pytest.mark.parametrize("partial", [False, True])
