@@ -41,6 +41,8 @@ def lines(told: Mapping[str, Any]) -> List[str]:
             _clock(task["until"]),
             task["where"]
             + (" in " + task["place"] if task["robot"] else "")
+            + (", at " + _clock(task["at"]) if task["at"] else "")
+            + (", every %d s" % task["every"] if task["every"] else "")
             + (", for " + task["to"] if task["to"] and task["to"] != task["robot"] else ""),
             str(task["priority"]),
             str(task["attempts"]),

@@ -97,7 +97,9 @@ def displayed_tasks(state: TeamState, net: Net) -> Dict[str, Any]:
         ``place`` or ``robot`` there (the others are ""), ``to`` (the only robot that may take it;
         "" for any), ``trouble`` ("" if somebody works on it or
         will), ``priority``, ``attempts`` (how often a robot took it) and ``since`` (seconds since
-        1970; None if not known) and ``until`` (when it is late if it still waits; None for never).
+        1970; None if not known) and ``until`` (when it is late if it still waits; None for never),
+        ``at`` (when it comes in; None if it has) and ``every`` (seconds after which another one
+        comes in; None if none does).
         ``ended``: for each its ``id``, ``outcome`` and ``why``, the last
         one last.
     """
@@ -119,6 +121,8 @@ def displayed_tasks(state: TeamState, net: Net) -> Dict[str, Any]:
                 "attempts": task.attempts,
                 "since": task.since or None,
                 "until": task.until or None,
+                "at": task.at or None,
+                "every": task.every or None,
             }
         )
     return {"tasks": tasks, "ended": [ended._asdict() for ended in state.ended_tasks]}

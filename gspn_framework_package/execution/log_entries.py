@@ -120,6 +120,8 @@ class Submit(NamedTuple):
     submitted; ``until``: when it is late if it still waits (both whole seconds since 1970; 0:
     unknown, never). ``replaces``: the id of the task that it replaces, which is cancelled; if that
     has ended, this one is not taken. "" for none. Only the robot ``to`` may take it; "" for any.
+    ``at``: when it comes in (seconds since 1970; 0: now); ``every`` so many seconds, from then on,
+    another one like it comes in (0: none does).
     """
 
     transition: str
@@ -132,6 +134,17 @@ class Submit(NamedTuple):
     until: int = 0
     replaces: str = ""
     to: str = ""
+    at: int = 0
+    every: int = 0
+
+
+class TaskDue(NamedTuple):
+    """It is time for the task with this ``id``, which was to come in ``at`` that time; ``now`` is
+    the time by the clock of the robot that says so (both seconds since 1970)."""
+
+    id: str
+    at: int
+    now: int
 
 
 class CancelTask(NamedTuple):
@@ -292,7 +305,7 @@ Ordered = Union[
 ]
 """The entries that an operator can order."""
 
-Entry = Union[Ordered, Start, Done, Failed, Interrupt, Join, Staged]
+Entry = Union[Ordered, Start, Done, TaskDue, Failed, Interrupt, Join, Staged]
 
 
 def _plain_types(kind: type) -> Dict[str, type]:
@@ -310,6 +323,7 @@ _KINDS: Dict[str, Type[Entry]] = {
     "fire": Fire,
     "interrupt": Interrupt,
     "submit": Submit,
+    "task_due": TaskDue,
     "cancel": CancelTask,
     "give_back": GiveBack,
     "prioritise": PrioritiseTask,
@@ -343,6 +357,7 @@ _LATER = (
     "until",
     "replaces",
     "to",
+    "every",
     "late",
     "stop",
 )
@@ -401,6 +416,8 @@ def to_json(entry: Entry) -> Dict[str, Any]:
     for key in _LATER:
         if not fields.get(key, True):
             del fields[key]
+    if kind is Submit and not fields["at"]:
+        del fields["at"]
     return fields
 
 
@@ -472,6 +489,8 @@ def make_submit(
     until: int = 0,
     replaces: Any = "",
     to: str = "",
+    at: int = 0,
+    every: int = 0,
 ) -> Submit:
     """Make the entry for a task from outside.
 
@@ -481,6 +500,8 @@ def make_submit(
     :param until: when it is late if it still waits (seconds since 1970; 0: never).
     :param replaces: the id of the task that it replaces; "" for none.
     :param to: the only robot that may take it; "" for any.
+    :param at: when it comes in (seconds since 1970; 0: now).
+    :param every: every so many seconds from then on, another one like it comes in; 0: none does.
     :raises DataError: the id, the data or the priority cannot be stored.
     """
     name = task_id(task)
@@ -497,9 +518,10 @@ def make_submit(
         raise DataError("a task cannot replace itself; submit it under another id")
     if len(to) > ID_LIMIT:
         raise DataError("the name of a robot is longer than %d characters" % ID_LIMIT)
-    return Submit(
-        transition, name, dict(data), priority=priority, until=until, replaces=other, to=to
-    )
+    if every and not at:
+        raise DataError("a task that comes in again and again needs the time of its first one (at)")
+    found = Submit(transition, name, dict(data), priority=priority, until=until, replaces=other)
+    return found._replace(to=to, at=at, every=every)
 
 
 def _check_bounds(fields: Dict[str, Any]) -> None:

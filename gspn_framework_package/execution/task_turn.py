@@ -50,17 +50,18 @@ class TaskTurn(Turn):
             return
         if self._replaces(entry):
             task = Task(entry.id, entry.data, entry.priority, entry.since, 0, entry.until, entry.to)
+            task = task._replace(at=entry.at, every=entry.every)
             self._wait_outside(t, task)
         known = self.state.known.setdefault(t, {})
         if carrier is not None:
             carrier.task = None
             del known[entry.id]
         known[entry.id] = None
-        while len(known) > KNOWN_TASKS:
-            oldest = next(iter(known))
-            if any(task.id == oldest for other, task in self.state.submitted if other == t):
-                break  # ids of waiting tasks are not forgotten
-            del known[oldest]
+        if len(known) > KNOWN_TASKS:  # ids of waiting tasks are not forgotten
+            waiting = {task.id for other, task in self.state.submitted if other == t}
+            done = [name for name in known if name not in waiting]
+            for name in done[: len(known) - KNOWN_TASKS]:
+                del known[name]
 
     def _replaces(self, entry: log_entries.Submit) -> bool:
         """Cancel the task that another one replaces; False if that has ended, so that the other is
@@ -82,6 +83,26 @@ class TaskTurn(Turn):
         while at and waiting[at - 1][1].priority < task.priority:
             at -= 1
         waiting.insert(at, (t, task))
+
+    def _task_due(self, entry: log_entries.TaskDue) -> None:
+        """Let a task come in whose time has come, or another one like it."""
+        there = self.state.tasks_with(entry.id)
+        if len(there) != 1 or there[0].before is None or there[0].task.at != entry.at:
+            return
+        found, t = there[0], there[0].before
+        self._take_out(found)
+        task = found.task
+        if not task.every:
+            self._wait_outside(t, task._replace(at=0))
+            return
+        missed = max(0, entry.now - entry.at) // task.every
+        later = task._replace(at=task.at + (missed + 1) * task.every, attempts=task.attempts + 1)
+        self._wait_outside(t, later)
+        name = "%s-%d" % (task.id, later.attempts)
+        if not self.state.is_known(t, name):
+            one = Task(name, task.data, task.priority, entry.now, to=task.to)
+            self._wait_outside(t, one)
+            self.state.known.setdefault(t, {})[name] = None
 
     # -- orders about tasks ------------------------------------------------------------------------
 

@@ -12,7 +12,7 @@ from gspn_framework_package.model.net import Net
 class Task(NamedTuple):
     """A task with its data (name -> JSON value); ``id`` is "" for a token without a task.
 
-    ``priority``, ``since``, ``until`` and ``to`` are those of its
+    ``priority``, ``since``, ``until``, ``to``, ``at`` and ``every`` are those of its
     :class:`~gspn_framework_package.execution.log_entries.Submit`; ``attempts`` counts how often a
     robot took it.
     """
@@ -24,6 +24,8 @@ class Task(NamedTuple):
     attempts: int = 0
     until: int = 0
     to: str = ""
+    at: int = 0
+    every: int = 0
 
     def to_json(self) -> List[Any]:
         """The task as a JSON value: its id, its data, and, if there are any, the other fields that
@@ -43,7 +45,7 @@ class Task(NamedTuple):
         return cls(name, check_values(values, None), **more)
 
 
-_OF_TASKS = ("priority", "since", "attempts", "until", "to")
+_OF_TASKS = ("priority", "since", "attempts", "until", "to", "at", "every")
 
 
 class FoundTask(NamedTuple):

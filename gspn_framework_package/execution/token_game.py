@@ -157,6 +157,8 @@ class _Reducer(TaskTurn):
             self._event(entry._replace(transition=self.state.present_name(entry.transition)))
         elif isinstance(entry, log_entries.Submit):
             self._submit(entry._replace(transition=self.state.present_name(entry.transition)))
+        elif isinstance(entry, log_entries.TaskDue):
+            self._task_due(entry)
         elif isinstance(entry, log_entries.ABOUT_TASKS):
             self._about_task(entry)
         elif isinstance(entry, log_entries.Join):

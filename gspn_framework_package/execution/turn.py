@@ -159,7 +159,7 @@ class Turn:
     def _fire_submitted(self) -> bool:
         """Admit the first task whose transition is enabled now."""
         for number, (t, task) in enumerate(self.state.submitted):
-            if self.net.is_enabled(self.state.marking, t):
+            if not task.at and self.net.is_enabled(self.state.marking, t):
                 del self.state.submitted[number]
                 self._fire(t, None, None, task=task)
                 return True

@@ -277,7 +277,9 @@ class ReplicaHost:
         if now >= self._look_at:
             self._look_at = now + BREAKPOINTS_PERIOD
             self._look_at_breakpoints()
-            if any(found.task.until for found in self._replica.ledger.state.tasks()):
+            if any(
+                found.task.until or found.task.at for found in self._replica.ledger.state.tasks()
+            ):
                 self._step(interface.TimeOfDay(int(time.time())))
         if self._leave_at is not None and now >= self._leave_at:
             self._end()

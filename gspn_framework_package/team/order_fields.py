@@ -31,6 +31,8 @@ class FieldKind(enum.Enum):
     OBJECT = "object"
     TIME = "time"
     """A time of day, in seconds since 1970."""
+    SPAN = "span"
+    """A time that passes, in whole seconds."""
     FLAG = "flag"
     """Yes or no; its name stands for yes."""
 
@@ -39,6 +41,7 @@ _TYPES: Dict[FieldKind, Tuple[Tuple[type, ...], str]] = {
     FieldKind.ID: ((str, int), "text or a whole number"),
     FieldKind.NUMBER: ((int,), "a whole number"),
     FieldKind.TIME: ((int,), "a time"),
+    FieldKind.SPAN: ((int,), "a number of seconds, or 10m"),
     FieldKind.FLAG: ((bool,), "true or false"),
     FieldKind.NAMES: ((list,), "a list of names"),
     FieldKind.OBJECT: ((dict,), "a JSON object"),
@@ -47,6 +50,13 @@ _TYPES: Dict[FieldKind, Tuple[Tuple[type, ...], str]] = {
 
 
 _UNITS = {"s": 1, "m": 60, "h": 3600, "d": 86400}
+
+
+def span_of(text: str) -> Optional[int]:
+    """The seconds in a text such as ``90s``, ``10m``, ``2h`` or ``1d``; None if it is none."""
+    if text[:-1].isdecimal() and text[-1] in _UNITS and len(text) <= LONGEST_NUMBER:
+        return int(text[:-1]) * _UNITS[text[-1]]
+    return None
 
 
 def seconds_of(text: str, now: Optional[float] = None) -> int:
@@ -58,9 +68,9 @@ def seconds_of(text: str, now: Optional[float] = None) -> int:
     :raises DataError: it is no time.
     """
     now = time.time() if now is None else now
-    is_span = text.startswith("+") and text[1:-1].isdecimal() and text[-1] in _UNITS
-    if is_span and len(text) <= LONGEST_NUMBER:
-        return int(now) + int(text[1:-1]) * _UNITS[text[-1]]
+    span = span_of(text[1:]) if text.startswith("+") else None
+    if span is not None:
+        return int(now) + span
     try:
         if len(text) <= len("00:00:00"):
             today = datetime.datetime.fromtimestamp(now)
@@ -104,6 +114,9 @@ class OrderField(NamedTuple):
             return self.default(source) if callable(self.default) else self.default
         if self.kind is FieldKind.TIME and isinstance(given, str):
             given = seconds_of(given)
+        if self.kind is FieldKind.SPAN and isinstance(given, str):
+            span = span_of(given)
+            given = given if span is None else span
         types, words = _TYPES.get(self.kind, ((str,), "text"))
         fits = isinstance(given, types) and isinstance(given, bool) == (bool in types)
         if self.kind is FieldKind.NAMES and fits:

@@ -339,9 +339,28 @@ ORDERS: Dict[str, OrderKind] = {
                 label="Only for the robot",
                 placeholder="any",
             ),
+            OrderField(
+                "at",
+                FieldKind.TIME,
+                "when it comes in, as for --until (default: now)",
+                required=False,
+                default=0,
+                label="Comes in at",
+                placeholder="now",
+            ),
+            OrderField(
+                "every",
+                FieldKind.SPAN,
+                "after each so much time, one like it comes in, as ID-1, ID-2 and so on: 90s, 10m, "
+                "2h, 1d; it begins at --at, and ends when ID is cancelled, or late",
+                required=False,
+                default=0,
+                label="And again every",
+                placeholder="10m",
+            ),
         ),
-        lambda transition, id, data, priority, until, replace, to: log_entries.make_submit(
-            transition, id, data, priority, until, replace, to
+        lambda transition, id, data, replace, **more: log_entries.make_submit(
+            transition, id, data, replaces=replace, **more
         ),
         example="order --data task.json --id o12",
         note="If it is uncertain whether the team has the task (no answer in time), submit it "

@@ -214,8 +214,8 @@ class StandaloneRun(Activity, Listener):
         if not why and command == "give_back":
             team, game = self._executor.state, self._executor.game
             why = game.why_not_given_back(team, team.tasks_with(str(about))[0])
-        if command == "submit" and values["until"]:
-            why = "a run on this server takes no tasks with a time limit"
+        if command == "submit" and (values["until"] or values["at"]):
+            why = "a run on this server takes no tasks that come in, or are late, at a time"
         if command == "submit" and values["to"] and not why:
             why = self._executor.game.why_not_to(values["transition"])
             if values["to"] not in self._executor.state.robots:

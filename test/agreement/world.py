@@ -618,6 +618,9 @@ class World:
             late = 1000 * self.now + self.random.choice([1, 50, 300])
             task = task._replace(until=int(late))
         if self.random.random() < 0.2:
+            at = int(1000 * self.now) + self.random.choice([1, 30, 100])
+            task = task._replace(at=at, every=self.random.choice([0, 60]))
+        if self.random.random() < 0.2:
             task = task._replace(to=self.random.choice([r.name for r in self.plan.robots]))
         if self.random.random() < 0.15 and self.tasks > 1:
             task = task._replace(replaces="t%d" % self.random.randint(1, self.tasks - 1))

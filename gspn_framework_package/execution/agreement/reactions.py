@@ -204,18 +204,20 @@ class Reactions:
     def _answer(self, key: Tuple[str, str], orders: List[str]) -> None:
         """Answer the operators once the team has their task."""
         team, net = self.state.ledger.state, self.state.ledger.game.net
-        waits = any(task.id == key[1] for _, task in team.submitted)
-        where = (
-            "it waits until '%s' is enabled" % key[0] if waits else team.whereabouts(key[1], net)
-        )
+        where = team.whereabouts(key[1], net)
+        outside = [task for _, task in team.submitted if task.id == key[1]]
+        if outside:
+            time = "its time comes" if outside[0].at else "'%s' is enabled" % key[0]
+            where = "it waits until " + time
         text = "the team has the task; " + where
         ended = team.end_of(key[1])
         taken = ended is None or ended.outcome != TASK_CANCELLED
         for order in orders:
             self.outbox.order_result(order, taken, text if taken else where)
 
-    def cancel_late(self, seconds: int) -> None:
-        """Propose that tasks whose time is over be cancelled, if that is up to us.
+    def look_at_times(self, seconds: int) -> None:
+        """Propose that tasks whose time has come come in, and that those whose time is over be
+        cancelled, if that is up to us.
 
         :param seconds: the time of day, in seconds since 1970.
         """
@@ -224,11 +226,14 @@ class Reactions:
         if over or not state.active or not self.electorate.is_first_running():
             return
         asking = [own.item.entry for own in state.own_proposals.asking]
-        for found in state.ledger.state.tasks():
-            if 0 < found.task.until <= seconds and not found.robot:
-                late = log_entries.CancelTask(found.task.id, late=True)
+        due = {(entry.id, entry.at) for entry in asking if isinstance(entry, log_entries.TaskDue)}
+        for task in [found.task for found in state.ledger.state.tasks() if not found.robot]:
+            late = log_entries.CancelTask(task.id, late=True)
+            if 0 < task.until <= seconds:
                 if late not in asking:
                     self.proposals.propose(late)
+            elif 0 < task.at <= seconds and (task.id, task.at) not in due:
+                self.proposals.propose(log_entries.TaskDue(task.id, task.at, seconds))
 
     def _refuse_orders(self, why: str) -> None:
         orders, self._orders = self._orders, {}

@@ -199,7 +199,7 @@ class Replica:
             if why:
                 self.outbox.fault("task %s is refused: %s" % (given.task.id, why))
         elif isinstance(given, interface.TimeOfDay):
-            self.reactions.cancel_late(given.seconds)
+            self.reactions.look_at_times(given.seconds)
         elif isinstance(given, interface.Order):
             self.orders.order(given)
         elif isinstance(given, interface.OrderGiven):

@@ -33,12 +33,16 @@ class LoggedTask:
         data: Optional[Mapping[str, Any]] = None,
         priority: int = 0,
         robot: str = "",
+        times: Tuple[int, int] = (0, 0),
     ) -> None:
         self.id = task_id
         self.data: Dict[str, Any] = dict(data or {})
         self.priority = priority
         self.robot = robot
         """The only robot that may take it; "" for any."""
+        self.at, self.every = times
+        self.came = 0
+        """How many like it have come in."""
 
 
 class Cargo:
@@ -141,15 +145,18 @@ class Cargo:
         self._known_set.add(key)
         if replaced == entry.replaces:  # otherwise it is not taken: what it replaces has ended
             self._waits(entry)
-        while len(ids) > REMEMBERED_TASKS:
-            if (entry.transition, ids[0]) in [(t, task.id) for t, task in self.outside]:
-                break
-            self._known_set.discard((entry.transition, ids.pop(0)))
+        waits = {task.id for t, task in self.outside if t == entry.transition}
+        for old in [i for i in ids if i not in waits][: max(0, len(ids) - REMEMBERED_TASKS)]:
+            ids.remove(old)
+            self._known_set.discard((entry.transition, old))
         return replaced
 
     def _waits(self, entry: log_entries.Submit) -> None:
         self.outside.append(
-            (entry.transition, LoggedTask(entry.id, entry.data, entry.priority, entry.to))
+            (
+                entry.transition,
+                LoggedTask(entry.id, entry.data, entry.priority, entry.to, (entry.at, entry.every)),
+            )
         )
         self._in_order()
 
@@ -159,6 +166,31 @@ class Cargo:
             self.queues[place].sort(key=lambda task: -task.priority)
         else:
             self.outside.sort(key=lambda item: -item[1].priority)
+
+    def due(self, entry: log_entries.TaskDue) -> None:
+        """Handle that the time of a task has come."""
+        kind, t = self.find(entry.id)
+        if kind != "outside":
+            return
+        item = next(item for item in self.outside if item[1].id == entry.id)
+        task = item[1]
+        if task.at != entry.at:
+            return
+        self.outside.remove(item)
+        self.outside.append(item)
+        if not task.every:
+            task.at = 0
+        else:
+            while task.at <= max(entry.now, entry.at):
+                task.at += task.every
+            task.came += 1
+            name = "%s-%d" % (task.id, task.came)
+            if (t, name) not in self._known_set:
+                self._known_set.add((t, name))
+                self._known.setdefault(t, []).append(name)
+                one = LoggedTask(name, task.data, task.priority, task.robot)
+                self.outside.append((t, one))
+        self._in_order()
 
     def find(self, task_id: str) -> Tuple[str, str]:
         """Where the task with an id is: (``robot``, its name), (``place``, its name), (``outside``,
@@ -217,7 +249,7 @@ class Cargo:
     def enter(self, t: str) -> Optional[LoggedTask]:
         """Take the oldest task waiting for ``t``."""
         for number, (transition, task) in enumerate(self.outside):
-            if transition == t:
+            if transition == t and not task.at:
                 del self.outside[number]
                 return task
         return None

@@ -269,6 +269,8 @@ class LoggedTeam:
         elif isinstance(entry, log_entries.CancelTask):
             if not (entry.late and self.cargo.find(entry.id)[0] == "robot"):
                 self._cancel(entry.id)
+        elif isinstance(entry, log_entries.TaskDue):
+            self.cargo.due(entry)
         elif isinstance(entry, log_entries.GiveBack):
             self._give_back(entry.id)
         elif isinstance(entry, log_entries.PrioritiseTask):

@@ -156,7 +156,8 @@ class SlotCheck(LoggedTeam):
 
     def _waiting_tasks(self) -> List[str]:
         """The transitions through which a waiting task can arrive, that of the oldest first."""
-        return [t for t, _ in self.cargo.outside if self._has_concession(t)]
+        waiting = [t for t, task in self.cargo.outside if not task.at]
+        return [t for t in waiting if self._has_concession(t)]
 
     def _conserved(self, slot: int) -> None:
         counts = Counter(r.place for r in self.robots.values() if r.here)

@@ -171,6 +171,26 @@ def test_a_task_is_replaced() -> None:
     assert waiting(run) == ["o3"] and ended(run)[-1] == ("o4", "cancelled")
 
 
+def test_a_task_comes_in_at_its_time_and_again() -> None:
+    run = shop(idle=False)
+    assert run.feed(submit("once")._replace(at=100), submit("all")._replace(at=50, every=20)) == []
+    where = [
+        (t["id"], t["at"], t["every"]) for t in displayed_tasks(run.state, run.game.net)["tasks"]
+    ]
+    assert where == [("once", 100, None), ("all", 50, 20)]
+    due = log_entries.TaskDue("once", 100, 101)
+    assert run.feed(due, due) == ["order"]
+    due = log_entries.TaskDue("all", 50, 95)  # two were missed
+    assert run.feed(due, due) == ["order"]
+    assert waiting(run) == ["once", "all-1"]
+    assert run.feed(log_entries.TaskDue("all", 110, 110)) == ["order"]
+    assert waiting(run) == ["once", "all-1", "all-2"]
+    run.feed(log_entries.CancelTask("all"), log_entries.TaskDue("all", 130, 130))
+    assert waiting(run) == ["once", "all-1", "all-2"] and run.state.submitted == []
+    net = run.game.net
+    assert TeamState.from_json(run.state.to_json(net), net, run.game.queues) == run.state
+
+
 def test_a_task_that_still_waits_when_its_time_is_over_is_late() -> None:
     run = shop(idle=False)
     run.feed(submit("o1"), submit("o2"))
@@ -339,6 +359,21 @@ def test_the_first_running_robot_cancels_what_waits_too_long() -> None:
     world.check()
 
 
+def test_the_first_running_robot_says_that_it_is_time() -> None:
+    world = errands()
+    given = result(world, "r2", log_entries.Submit("order", "t1", at=100, every=50))
+    assert given.text == "the team has the task; it waits until its time comes"
+    for seconds in (99, 100, 100, 120, 151, 152):
+        for name in ("r2", "r1"):
+            world.nodes[name].give(interface.TimeOfDay(seconds))
+        world.run(world.now + 0.5)
+    assert [e["at"] for e in world.entries("task_due")] == [100, 150]
+    team = world.nodes["r1"].replica.ledger.state
+    assert [found.task.id for found in team.tasks() if found.place] == ["t1-1", "t1-2"]
+    assert result(world, "r1", log_entries.Submit("order", "t1-1")).text.endswith("in orders")
+    world.check()
+
+
 def test_a_plan_without_queues_is_not_adopted_while_a_robot_has_a_task() -> None:
     run = shop()
     run.feed(submit("o1"))
@@ -389,8 +424,12 @@ def test_times_are_read() -> None:
 
 def test_the_command_of_a_task_has_all_fields() -> None:
     kind = ORDERS["submit"]
-    argument = json.dumps({"transition": "order", "id": 7, "until": 1000, "replace": 6})
+    order = {"transition": "order", "id": 7, "until": 1000, "replace": 6, "at": 5, "every": "2m"}
+    argument = json.dumps(order)
     given = kind.entry(**kind.read("", argument, "r1"))
-    assert given == log_entries.Submit("order", "7", {}, until=1000, replaces="6")
+    assert given == log_entries.Submit("order", "7", {}, until=1000, replaces="6", at=5, every=120)
+    assert log_entries.checked(given) == given
+    with pytest.raises(DataError, match="needs the time of its first one"):
+        kind.entry(**kind.read("", argument.replace('"at": 5', '"at": 0'), "r1"))
     with pytest.raises(DataError, match="cannot replace itself"):
-        kind.entry(**kind.read("", argument.replace("6}", "7}"), "r1"))
+        kind.entry(**kind.read("", argument.replace('"replace": 6', '"replace": 7'), "r1"))
