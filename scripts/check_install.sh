@@ -81,7 +81,7 @@ if . /etc/os-release && [ "${VERSION_CODENAME:-}" = bookworm ]; then
         same_files "deb: $folder" "$ROOT/$folder" "$ASIDE/deb/root/usr/share/$PACKAGE/$folder"
     done
     bash -n "$ASIDE/deb/root/usr/share/bash-completion/completions/gspn" || die "the completion for bash is no script"
-    zcat "$ASIDE/deb/root/usr/share/man/man1/gspn.1.gz" | grep -q "^.SS simulate" || die "the manual page is not whole"
+    zcat "$ASIDE/deb/root/usr/share/man/man1/gspn.1.gz" | grep "^.SS simulate" >/dev/null || die "the manual page is not whole"
     only_product "the Debian package" < <(find "$ASIDE/deb/root" -type f -printf '%P\n')
     cmp <(dpkg-deb -f "$deb" Version) <(echo "$(cd "$ROOT" && /usr/bin/python3 setup.py --version)-1") || die "another version"
 fi
