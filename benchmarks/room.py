@@ -36,13 +36,20 @@ MINUTES = 15.0
 LIBRARIES = ("numpy", "scipy", "pybullet", "rospy", "actionlib")
 
 
-def measure(room: str, robots: int, seed: int, minutes: float) -> Dict[str, Any]:
+SCANS = 5
+"""Scans of a robot in a second of world time, with ``--scans``."""
+
+
+def measure(
+    room: str, robots: int, seed: int, minutes: float, scans: bool = False
+) -> Dict[str, Any]:
     """One run without ROS, in this process.
 
     :param room: the room file.
     :param robots: size of the team.
     :param seed: seed of all random draws.
     :param minutes: world time (min).
+    :param scans: every robot scans, as with ROS while somebody listens.
     """
     import psutil
 
@@ -51,7 +58,13 @@ def measure(room: str, robots: int, seed: int, minutes: float) -> Dict[str, Any]
 
     run = Patrol(load_room(room), ["robot_%d" % (i + 1) for i in range(robots)], seed)
     begin, begin_cpu = time.perf_counter(), time.process_time()
-    run.run(minutes * 60)
+    if scans:
+        for _ in range(round(minutes * 60 * SCANS)):
+            run.run(1 / SCANS)
+            for name in run.team.robots:
+                run.team.physics.scan(name)
+    else:
+        run.run(minutes * 60)
     wall, cpu = time.perf_counter() - begin, time.process_time() - begin_cpu
     return {
         "robots": robots,
@@ -70,6 +83,7 @@ def measure_apart(args: argparse.Namespace, robots: int, seed: int) -> Dict[str,
     words += ["--robots", str(robots), "--seed", str(seed), "--minutes", str(args.minutes)]
     words += ["--ros", "--factor", str(args.factor)] if args.ros else []
     words += ["--lose"] if args.lose else []
+    words += ["--scans"] if args.scans else []
     # 1 means that there were faults, which the results report
     ended = subprocess.run(words, stdout=subprocess.PIPE)
     if ended.returncode not in (0, 1):
@@ -94,6 +108,9 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     parser.add_argument(
         "--lose", action="store_true", help="with --ros: kill a robot in mid-patrol; it returns"
     )
+    parser.add_argument(
+        "--scans", action="store_true", help="without --ros: each robot scans five times a second"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     args = parser.parse_args(arguments)
     end_cleanly_on_signal()
@@ -107,7 +124,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
                 measure_ros(args.room, args.robots, args.seed, args.minutes, args.factor, args.lose)
             )
         else:
-            results.append(measure(args.room, args.robots, args.seed, args.minutes))
+            results.append(measure(args.room, args.robots, args.seed, args.minutes, args.scans))
     else:
         teams = TEAMS if not args.robots else [(args.robots, dict(TEAMS).get(args.robots, 2))]
         runs = [(n, seed) for n, seeds in teams for seed in range(1 if args.quick else seeds)]
