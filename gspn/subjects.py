@@ -170,6 +170,9 @@ class _Subject:
         always: Texts = (),
         apart: Texts = (),
         never_fires: Texts = (),
+        at_most: Texts = (),
+        returns: Texts = (),
+        ends: bool = False,
         seconds: float = 10.0,
         limit: int = 200_000,
     ) -> results.ProofResult:
@@ -180,6 +183,9 @@ class _Subject:
         :param always: conditions that always hold.
         :param apart: patterns of names, such as ``"At_*"``: no such place ever has two tokens.
         :param never_fires: transitions that never fire.
+        :param at_most: patterns of names with the most tokens, such as ``"At_*=2"``.
+        :param returns: conditions that can be reached from every marking.
+        :param ends: whether a plan can end from every marking.
         :param seconds: time for each question (s).
         :param limit: the most markings to visit for each.
         :raises InputError: a condition cannot be read, or a name is not in the net.
@@ -197,7 +203,10 @@ class _Subject:
             always=_texts(always),
             apart=_texts(apart),
             never_fires=_texts(never_fires),
-            general=not (never or always or apart or never_fires),
+            at_most=_texts(at_most),
+            returns=_texts(returns),
+            ends=ends,
+            general=not (never or always or apart or never_fires or at_most or returns or ends),
         )
         with _progress() as progress:
             answers = decide_all(

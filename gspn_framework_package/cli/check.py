@@ -31,7 +31,17 @@ _QUESTIONS: Arguments = {
     repeated("--apart", "PATTERN"): (
         "decide whether no place whose name matches, such as 'At_*', ever has two tokens"
     ),
+    repeated("--at-most", "PATTERN=N"): (
+        "decide whether no place whose name matches ever has more than N tokens"
+    ),
     repeated("--never-fires", "TRANSITION"): "decide whether a transition never fires",
+    repeated("--returns", "CONDITION"): (
+        "decide whether, from every marking, one can be reached in which the condition holds"
+    ),
+    "--ends": (
+        "decide whether a plan can end from every marking: all robots in places without outputs, "
+        "or its 'until' holds"
+    ),
     Argument("--certificate", "FILE"): (
         "decide also whether a dead marking, or one that needs a policy row and has none, can be "
         "reached, and write the proofs of all that is proven; 'gspn verify FILE' checks them"
@@ -64,7 +74,7 @@ EPILOG = (
 
 def run(args: argparse.Namespace) -> int:
     """Check the plan, decide what is asked, and print the report and the answers."""
-    if any((args.never, args.always, args.apart, args.never_fires, args.certificate)):
+    if args.certificate or _asks_more(args):
         return _decide(args)
     plan = _plan(args)
     report = _report(args, plan)
@@ -73,6 +83,14 @@ def run(args: argparse.Namespace) -> int:
     else:
         _print(report, plan)
     return report.exit_code
+
+
+def _asks_more(args: argparse.Namespace) -> bool:
+    """Whether something is asked about all markings."""
+    return any(
+        getattr(args, name)
+        for name in ("never", "always", "apart", "at_most", "never_fires", "returns", "ends")
+    )
 
 
 def _plan(args: argparse.Namespace) -> Plan:

@@ -27,7 +27,10 @@ def asked(args: argparse.Namespace, subject: Union[Net, Plan]) -> List[MarkingQu
         never=args.never,
         always=args.always,
         apart=args.apart,
+        at_most=args.at_most,
         never_fires=args.never_fires,
+        returns=args.returns,
+        ends=args.ends,
         general=bool(args.certificate),
     )
 
@@ -38,7 +41,10 @@ def questions_about(
     never: Iterable[str] = (),
     always: Iterable[str] = (),
     apart: Iterable[str] = (),
+    at_most: Iterable[str] = (),
     never_fires: Iterable[str] = (),
+    returns: Iterable[str] = (),
+    ends: bool = False,
     general: bool = False,
 ) -> List[MarkingQuestion]:
     """Questions about all markings of a net or plan.
@@ -46,7 +52,10 @@ def questions_about(
     :param never: conditions that are never to hold.
     :param always: conditions that are always to hold.
     :param apart: patterns of the names of places that are never to hold two tokens.
+    :param at_most: patterns of such names, each with the most tokens (``At_*=2``).
     :param never_fires: transitions that are never to fire.
+    :param returns: conditions that can be reached from every marking.
+    :param ends: also ask whether all robots can reach an end place from every marking.
     :param general: also ask for dead markings and, of a plan, for markings without a policy row.
     :raises GspnError: one names what does not exist, or cannot be read.
     """
@@ -56,10 +65,13 @@ def questions_about(
         *(MarkingQuestion(questions.NEVER, text) for text in never),
         *(MarkingQuestion(questions.ALWAYS, text) for text in always),
         *(MarkingQuestion(questions.APART, pattern) for pattern in apart),
+        *(MarkingQuestion(questions.AT_MOST, text) for text in at_most),
         *(MarkingQuestion(questions.FIRES, name) for name in never_fires),
+        *(MarkingQuestion(questions.RETURNS, text) for text in returns),
+        *([MarkingQuestion(questions.CAN_END)] if ends else []),
     ]
     for question in found:
-        if question.about:
+        if question.about or question.kind == questions.CAN_END:
             with contextlib.suppress(LimitError):  # the answer will say it
                 problem_of(subject, question)
     return found

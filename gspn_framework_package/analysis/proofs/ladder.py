@@ -32,7 +32,12 @@ from gspn_framework_package.analysis.proofs.checker import (
     played_to,
 )
 from gspn_framework_package.analysis.proofs.prover import Candidate, Prover
-from gspn_framework_package.analysis.proofs.questions import MarkingQuestion, problem_of
+from gspn_framework_package.analysis.proofs.questions import (
+    CAN_END,
+    RETURNS,
+    MarkingQuestion,
+    problem_of,
+)
 from gspn_framework_package.analysis.proofs.witness import realise
 from gspn_framework_package.analysis.state_space.space import StateSpace, explore
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
@@ -118,7 +123,11 @@ def decide_question(
         problem = problem_of(subject, question)
     except LimitError as error:
         return Answer(question, NOT_DECIDED, (LadderStep("structure", str(error), 0.0),))
-    return _Ladder(subject, question, problem, seconds, limit, progress, cancel).climb()
+    ladder = _Ladder(subject, question, problem, seconds, limit, progress, cancel)
+    try:
+        return ladder.climb()
+    except LimitError as error:  # whether a marking is bad
+        return ladder.not_decided(str(error))
 
 
 def decide_with_losses(
@@ -173,6 +182,11 @@ class _Ladder:
             answer = self._explore(self._limit)
         return answer or Answer(self._question, NOT_DECIDED, tuple(self._steps))
 
+    def not_decided(self, reason: str) -> Answer:
+        """The answer if a step could not be taken."""
+        self._step("exploration", reason)
+        return Answer(self._question, NOT_DECIDED, tuple(self._steps))
+
     def _watch(self) -> Watch:
         left = max(self._end - time.monotonic(), 0.0)
         return Watch(self._progress, self._cancel, seconds=left)
@@ -218,7 +232,10 @@ class _Ladder:
         )
 
     def _search(self, candidate: Candidate) -> Optional[Answer]:
-        sequence = realise(self._problem, candidate, self._watch())
+        watch = self._watch()
+        if self._question.kind in (RETURNS, CAN_END):  # what nothing leads away from may be no case
+            watch = watch.half()
+        sequence = realise(self._problem, candidate, watch)
         if sequence is not None:
             return self._violated("guided search", sequence)
         self._step("guided search", "no way to it was found")

@@ -12,13 +12,11 @@ as inequalities; ``Problem.is_bad`` is always exact.
 
 from __future__ import annotations
 
-import math
 from fnmatch import fnmatchcase
-from fractions import Fraction
 from functools import partial
 from typing import (
-    Any,
     Callable,
+    Collection,
     Dict,
     Iterable,
     Iterator,
@@ -44,7 +42,9 @@ from gspn_framework_package.analysis.proofs.checker import (
     guard,
     opposite,
 )
-from gspn_framework_package.model.condition import Condition, parse_condition, run_program
+from gspn_framework_package.analysis.proofs.conditions import condition_of, facts_of, formula_of
+from gspn_framework_package.analysis.proofs.returning import nearing, never_returns
+from gspn_framework_package.model.condition import Condition
 from gspn_framework_package.model.errors import LimitError, UsageError
 from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.model.plan import Plan
@@ -52,7 +52,9 @@ from gspn_framework_package.model.policy import PolicyRow, PolicyTable
 
 DEAD, NEVER, ALWAYS, APART, FIRES, NO_ROW = "dead", "never", "always", "apart", "fires", "no_row"
 
-QUESTION_KINDS = (DEAD, NEVER, ALWAYS, APART, FIRES, NO_ROW)
+AT_MOST, RETURNS, CAN_END = "at_most", "returns", "ends"
+
+QUESTION_KINDS = (DEAD, NEVER, ALWAYS, APART, AT_MOST, FIRES, NO_ROW, RETURNS, CAN_END)
 
 _STATEMENTS = {
     DEAD: "no dead marking can be reached",
@@ -60,14 +62,14 @@ _STATEMENTS = {
     NEVER: "never %s",
     ALWAYS: "always %s",
     APART: "never two tokens in %s",
+    AT_MOST: "never more tokens than %s",
     FIRES: "%s never fires",
+    RETURNS: "%s can be reached from every marking",
+    CAN_END: "the end of the run, or of all robots, can be reached from every marking",
 }
 
 MOST_PROOF_ROWS = 20_000
 """Most steps through the rows of a policy."""
-
-_FINEST, _LARGEST = 1 << 16, 1 << 24
-"""The numbers of conditions with which floats compute exactly: multiples of a power of 1/2."""
 
 
 class MarkingQuestion(NamedTuple):
@@ -75,10 +77,13 @@ class MarkingQuestion(NamedTuple):
 
     :ivar kind: which markings are bad: ``dead`` ones, those with a condition that should hold
         ``never``, those without one that should ``always`` hold, those with two tokens in one of
-        some places that should be ``apart``, those in which a transition ``fires``, or those in
-        which a robot needs a decision, and neither a row of the policy matches nor can only one
-        transition fire (``no_row``).
-    :ivar about: the condition, the transition, or a pattern (``At_*``) of the names of places.
+        some places that should be ``apart``, or with more than these should have (``at_most``),
+        those in which a transition ``fires``, those in which a robot needs a decision, and neither
+        a row of the policy matches nor can only one transition fire (``no_row``), and those from
+        which a condition cannot be reached (``returns``), or that all robots are in places where a
+        plan ends (``ends``).
+    :ivar about: the condition, the transition, a pattern (``At_*``) of the names of places, or a
+        pattern and a number (``At_*=2``).
     :ivar losses: whether robots of a plan can be lost.
     """
 
@@ -107,20 +112,25 @@ def problem_of(subject: Union[Net, Plan], question: MarkingQuestion) -> Problem:
         question = question._replace(kind=NEVER, about="not (%s)" % question.about)
     if isinstance(subject, Plan):
         return _OfPlan(subject, question).problem()
-    if question.kind == NO_ROW or question.losses:
-        raise UsageError("a net has no policy, and no robots that can be lost")
+    if question.kind in (NO_ROW, CAN_END) or question.losses:
+        raise UsageError("a net has no policy, and no robots that end or can be lost")
     return _of_net(subject, question)
 
 
 def _of_net(net: Net, question: MarkingQuestion) -> Problem:
     everything = tuple(range(len(net.transitions)))
     if question.kind == NEVER:
-        condition = _condition(question.about, net)
-        facts = _facts_of(condition)
+        condition = condition_of(question.about, net)
+        facts = facts_of(condition)
         return Problem(net, everything, facts, condition.holds, net.enabled)
-    if question.kind == APART:
-        facts = _two_in_one(net, question.about)
+    if question.kind in (APART, AT_MOST):
+        facts = _too_many_in_one(net, question)
         return Problem(net, everything, facts, partial(fulfils, facts[0]), net.enabled)
+    if question.kind == RETURNS:
+        condition = condition_of(question.about, net)
+        facts = _never_back(condition, net)
+        is_bad = never_returns(net, facts, condition.holds, net.enabled)
+        return Problem(net, everything, facts, is_bad, net.enabled)
     if question.kind == FIRES:
         t = net.transition_number(question.about)
         return Problem(net, everything, guard(net, t), lambda m: t in net.enabled(m), net.enabled)
@@ -133,12 +143,48 @@ def simplest_first(net: Net, transitions: Iterable[int]) -> List[int]:
     return sorted(transitions, key=lambda t: len(net.inputs[t]) + len(net.inhibitors[t]))
 
 
-def _two_in_one(net: Net, pattern: str) -> Tuple[Formula, ...]:
-    """Two tokens are in one of the places with such a name."""
+def _too_many_in_one(net: Net, question: MarkingQuestion) -> Tuple[Formula, ...]:
+    """More tokens than there should be are in one of the places with such a name."""
+    pattern, most = pattern_and_number(question)
     places = [p for p, place in enumerate(net.places) if fnmatchcase(place.name, pattern)]
     if not places:
         raise UsageError("no place has a name like '%s'" % pattern)
-    return (Some(tuple(Atom(((p, 1),), 2) for p in places)),)
+    return (Some(tuple(Atom(((p, 1),), most + 1) for p in places)),)
+
+
+def pattern_and_number(question: MarkingQuestion) -> Tuple[str, int]:
+    """The pattern of names in a question, and the most tokens of a place with such a name."""
+    if question.kind == APART:
+        return question.about, 1
+    pattern, _, number = question.about.rpartition("=")
+    if not (pattern and number.strip().isdecimal()):
+        raise UsageError("'%s' is no pattern and number, such as 'At_*=2'" % question.about)
+    return pattern.strip(), int(number)
+
+
+def _never_back(condition: Condition, net: Net) -> Tuple[Formula, ...]:
+    """The condition does not hold, and nothing that brings tokens nearer to it can fire; none if
+    it cannot be written as inequalities."""
+    try:
+        goal = formula_of(condition)
+    except LimitError:
+        return ()
+    steps = nearing(net, goal, range(len(net.places)), range(len(net.transitions)))
+
+    others = [
+        (u, net.transitions[u])
+        for u in sorted(set(range(len(net.transitions))).difference(steps))
+        if not net.transitions[u].timed
+    ]
+    if len(steps) * len(others) > MOST_PROOF_ROWS:
+        return ()
+
+    def cannot_fire(t: int) -> Formula:
+        mine = net.transitions[t]
+        before = [u for u, other in others if mine.timed or other.priority > mine.priority]
+        return Some((_disabled(net, t), *(All(guard(net, u)) for u in before)))
+
+    return (opposite(goal), *map(cannot_fire, simplest_first(net, steps)))
 
 
 def _disabled(net: Net, t: int) -> Formula:
@@ -154,10 +200,11 @@ class _OfPlan:
     def __init__(self, plan: Plan, question: MarkingQuestion) -> None:
         self._plan, self._question = plan, question
         named: Sequence[str] = ()
-        if question.kind == NEVER:
-            named = _condition(question.about, plan.net).places
-        if question.kind == APART:
-            named = [p for p in plan.counters if fnmatchcase(p, question.about)]
+        if question.kind in (NEVER, RETURNS):
+            named = condition_of(question.about, plan.net).places
+        if question.kind in (APART, AT_MOST):
+            pattern, _ = pattern_and_number(question)
+            named = [p for p in plan.counters if fnmatchcase(p, pattern)]
         left_out = [p for p in plan.counters if p not in named]
         net = plan.net.without_places(left_out)
         self._own = len(net.transitions)
@@ -176,7 +223,7 @@ class _OfPlan:
         self._table = plan.policy.bind(plan.net)
         self._until: Optional[Condition] = None
         if plan.until:
-            self._until = _condition(plan.until, self._net)
+            self._until = condition_of(plan.until, self._net)
         self._rows = _RowsOfPlaces(self._table, self._net, self._original)
 
     def problem(self) -> Problem:
@@ -185,11 +232,14 @@ class _OfPlan:
         facts: Tuple[Formula, ...]
         is_bad: Callable[[Marking], bool]
         if kind == NEVER:
-            condition = _condition(self._question.about, net)
-            facts, is_bad = _facts_of(condition), condition.holds
-        elif kind == APART:
-            facts = _two_in_one(net, self._question.about)
+            condition = condition_of(self._question.about, net)
+            facts, is_bad = facts_of(condition), condition.holds
+        elif kind in (APART, AT_MOST):
+            facts = _too_many_in_one(net, self._question)
             is_bad = partial(fulfils, facts[0])
+        elif kind in (RETURNS, CAN_END):
+            facts, holds = self._never_back()
+            is_bad = never_returns(net, facts, holds, self.fires)
         else:
             how = {DEAD: self._dead, FIRES: self._fires, NO_ROW: self._gap}[kind]
             facts = (*self._not_over(), *(fact for fact in how() if not _is_true(fact)))
@@ -282,25 +332,60 @@ class _OfPlan:
     # -- the questions
 
     def _dead(self) -> Iterator[Formula]:
-        net = self._net
-        ends = {self._plan.net.places[p].name for p in terminal_places(self._plan)}
-        busy = sorted(p for p in self._robots if net.places[p].name not in ends)
-        yield Atom(tuple((p, 1) for p in busy), 1)
-        for t in simplest_first(net, range(self._own)):
-            if not self._asking(t):
-                yield _disabled(net, t)
-        for p in sorted(self._robots):
-            yield from self._policy_moves_nobody(p)
+        yield self._some_are_busy()
+        yield from self._nothing_fires(range(self._own))
 
-    def _policy_moves_nobody(self, p: int) -> Iterator[Formula]:
-        """The policy lets no robot in place number ``p`` choose what is enabled."""
+    def _some_are_busy(self) -> Atom:
+        """A robot is in a place where the plan does not end."""
+        ends = {self._plan.net.places[p].name for p in terminal_places(self._plan)}
+        busy = sorted(p for p in self._robots if self._net.places[p].name not in ends)
+        return Atom(tuple((p, 1) for p in busy), 1)
+
+    def _nothing_fires(self, transitions: Collection[int]) -> Iterator[Formula]:
+        """None of the transitions can fire, also not by the policy's choice."""
+        for t in simplest_first(self._net, transitions):
+            if not self._asking(t):
+                yield _disabled(self._net, t)
+        for p in sorted(self._robots):
+            yield from self._policy_moves_nobody(p, transitions)
+
+    def _never_back(self) -> Tuple[Tuple[Formula, ...], Callable[[Marking], bool]]:
+        """What holds where nothing brings robots nearer to the goal, and whether it is reached; no
+        facts if they cannot be written as inequalities."""
+        until = self._until
+        if self._question.kind == RETURNS:
+            condition = condition_of(self._question.about, self._net)
+            holds: Callable[[Marking], bool] = condition.holds
+        else:
+            if until is None and not terminal_places(self._plan):
+                raise UsageError("the plan has no end: no place without outputs, and no 'until'")
+            ended = opposite(self._some_are_busy())
+            holds = partial(self._has_ended, ended)
+        try:
+            over = FALSE if until is None else formula_of(until)
+            goal = formula_of(condition) if self._question.kind == RETURNS else Some((ended, over))
+            fired = [t for t in range(self._own) if self._ever_fires(t)]
+            steps = frozenset(nearing(self._net, goal, self._robots, fired))
+            stays = tuple(fact for fact in self._nothing_fires(steps) if not _is_true(fact))
+        except LimitError:
+            return (), holds
+        if until is not None:  # nothing fires when a run is over
+            stays = (Some((over, All(stays))),)
+        return (opposite(goal), *stays), holds
+
+    def _has_ended(self, ended: Formula, marking: Marking) -> bool:
+        return fulfils(ended, marking) or self._is_over(marking)
+
+    def _policy_moves_nobody(self, p: int, transitions: Collection[int]) -> Iterator[Formula]:
+        """The policy lets no robot in place number ``p`` choose one that is enabled."""
         for _, cells, chosen, before in self._rows.by_precedence(p):
             fails = [opposite(part) for part in (*cells, *map(opposite, before))]
             for t in chosen:
-                yield Some((*fails, _disabled(self._net, t)))
+                if t in transitions:
+                    yield Some((*fails, _disabled(self._net, t)))
         if self._plan.strict:
             return
-        weighty = [t for t in self._leaving(p) if self._weights_decide(t)]
+        weighty = [t for t in self._leaving(p) if self._weights_decide(t) and t in transitions]
         if weighty:
             nothing = All(tuple(_disabled(self._net, t) for t in weighty))
             yield Some((nothing, self._rows.any_matches(p)))
@@ -442,109 +527,3 @@ def _is_true(formula: Formula) -> bool:
     if isinstance(formula, Some):
         return any(map(_is_true, formula.parts))
     return isinstance(formula, All) and not formula.parts
-
-
-# -- conditions ------------------------------------------------------------------------------------
-
-
-def _condition(text: str, net: Net) -> Condition:
-    return parse_condition(text, [place.name for place in net.places])
-
-
-def _facts_of(condition: Condition) -> Tuple[Formula, ...]:
-    """A condition as facts; none if it cannot be written as inequalities."""
-    try:
-        return (formula_of(condition),)
-    except LimitError:
-        return ()
-
-
-class _Sum(NamedTuple):
-    """A weighted sum of counts (place number -> weight), plus a constant."""
-
-    weights: Dict[int, Fraction]
-    constant: Fraction
-
-    def plus(self, other: _Sum, times: Fraction) -> _Sum:
-        weights = dict(self.weights)
-        for p, weight in other.weights.items():
-            weights[p] = weights.get(p, Fraction(0)) + times * weight
-        return _Sum(weights, self.constant + times * other.constant)
-
-    def at_least(self, more: int) -> Atom:
-        """The sum is 0 or more, or above 0 if ``more`` is 1."""
-        parts = [*self.weights.values(), self.constant]
-        scale = 1
-        for part in parts:
-            scale *= part.denominator // math.gcd(scale, part.denominator)
-        terms = tuple((p, int(w * scale)) for p, w in sorted(self.weights.items()) if w)
-        return Atom(terms, more - int(self.constant * scale))
-
-
-def formula_of(condition: Condition) -> Formula:
-    """A condition as a formula.
-
-    :raises LimitError: it is not linear, or its numbers are such that floats would round.
-    """
-    counts = {
-        p: _Sum({p: Fraction(1)}, Fraction(0)) for step, p in condition.program if step == "place"
-    }
-    return _as_formula(run_program(condition.program, counts, {}, _Steps()))
-
-
-class _Steps(Dict[str, Callable[..., Any]]):
-    """What the steps of a condition's program do with sums and formulas."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self["+"] = lambda a, b: _as_sum(a).plus(_as_sum(b), Fraction(1))
-        self["-"] = lambda a, b: _as_sum(a).plus(_as_sum(b), Fraction(-1))
-        self["negate"] = lambda a: _times(_as_sum(a), Fraction(-1))
-        self["*"] = _product
-        self["/"] = lambda a, b: _product(a, _inverse(b))
-        self[">="] = lambda a, b: self["-"](a, b).at_least(0)
-        self[">"] = lambda a, b: self["-"](a, b).at_least(1)
-        self["<="] = lambda a, b: self[">="](b, a)
-        self["<"] = lambda a, b: self[">"](b, a)
-        self["=="] = lambda a, b: All((self[">="](a, b), self["<="](a, b)))
-        self["!="] = lambda a, b: Some((self[">"](a, b), self["<"](a, b)))
-        self["and"] = lambda a, b: All((_as_formula(a), _as_formula(b)))
-        self["or"] = lambda a, b: Some((_as_formula(a), _as_formula(b)))
-        self["not"] = lambda a: opposite(_as_formula(a))
-
-    def __missing__(self, step: str) -> Callable[..., Any]:
-        raise LimitError("not decided: a condition with '%s' is not linear" % step)
-
-
-def _as_formula(value: Any) -> Formula:
-    if isinstance(value, bool):
-        return TRUE if value else FALSE
-    return value
-
-
-def _as_sum(value: Any) -> _Sum:
-    if isinstance(value, _Sum):
-        return value
-    number = Fraction(value)
-    finest = number.denominator
-    if finest > _FINEST or finest & (finest - 1) or abs(number) > _LARGEST:
-        raise LimitError("not decided: the condition has the number %s" % value)
-    return _Sum({}, number)
-
-
-def _times(total: _Sum, times: Fraction) -> _Sum:
-    return _Sum({}, Fraction(0)).plus(total, times)
-
-
-def _inverse(value: Any) -> Fraction:
-    number = _as_sum(value)
-    if number.weights or number.constant == 0:
-        raise LimitError("not decided: a condition that divides by counts is not linear")
-    return 1 / number.constant
-
-
-def _product(a: Any, b: Any) -> _Sum:
-    left, right = _as_sum(a), _as_sum(b)
-    if left.weights and right.weights:
-        raise LimitError("not decided: a condition with a product of counts is not linear")
-    return _times(left, right.constant) if left.weights else _times(right, left.constant)

@@ -1,8 +1,8 @@
 """Answers temporal queries about a net or a plan, with an interval for each number.
 
-A formula ``EF c`` or ``AG c`` is first given to the ladder of proofs, which can decide it however
-many markings there are. Otherwise the states are explored, and a formula that those left unexplored
-could change is not decided. Probabilities come from the Markov chain.
+A formula ``EF c``, ``AG c`` or, of a net, ``AG EF c`` is first given to the ladder of proofs, which
+can decide it however many markings there are. Otherwise the states are explored, and a formula that
+those left unexplored could change is not decided. Probabilities come from the Markov chain.
 
 >>> from gspn_framework_package.model.builder import NetBuilder
 >>> net = (NetBuilder("machine").place("up", tokens=1).place("down")
@@ -44,6 +44,7 @@ from gspn_framework_package.analysis.solution.transient import transient, trunca
 from gspn_framework_package.analysis.state_space.space import StateSpace
 from gspn_framework_package.analysis.symmetry.lumped_space import LumpedSpace
 from gspn_framework_package.analysis.watch import Watch
+from gspn_framework_package.model.condition import Label
 from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError
 
 
@@ -227,8 +228,10 @@ class _Work:
     def _question(self, formula: Branching) -> Optional[MarkingQuestion]:
         """A formula as a question about all markings, if it is one."""
         goal, every = formula.path.goal, formula.every
-        if formula.path.operator != ("G" if every else "F") or goal.parts:
+        if formula.path.operator != ("G" if every else "F"):
             return None
+        if goal.parts:
+            return self._return(goal) if every and self._analysis.plan is None else None
         condition = goal.on(self._analysis.net.place_index)
         if not condition.labels:
             return MarkingQuestion(questions.ALWAYS if every else questions.NEVER, goal.text)
@@ -236,6 +239,15 @@ class _Work:
         if self._analysis.plan is None and condition.program == dead:
             return MarkingQuestion(questions.DEAD)
         return None
+
+    def _return(self, formula: StateFormula) -> Optional[MarkingQuestion]:
+        """``EF c`` everywhere as a question about all markings of a net, if c is a condition."""
+        inner = next(iter(formula.parts.values()))
+        goal = inner.path.goal
+        simple = isinstance(formula.tree, Label) and not inner.every and inner.path.operator == "F"
+        if not simple or goal.parts or self._condition(goal).labels:
+            return None
+        return MarkingQuestion(questions.RETURNS, goal.text)
 
     # -- states
 

@@ -26,6 +26,7 @@ from gspn_framework_package.analysis.proofs.checker import (
     fulfils,
     played_to,
 )
+from gspn_framework_package.analysis.proofs.conditions import formula_of
 from gspn_framework_package.analysis.proofs.ladder import (
     NOT_DECIDED,
     PROVEN,
@@ -37,7 +38,6 @@ from gspn_framework_package.analysis.proofs.questions import (
     DEAD,
     NEVER,
     MarkingQuestion,
-    formula_of,
     problem_of,
 )
 from gspn_framework_package.analysis.report import Questions, report

@@ -250,7 +250,8 @@ def test_proofs_about_plans_agree_with_their_states(data, plan, reading):
         ("AG done < 3", False),
         ("AG EF lost = 1", True),
         ("AF lost = 1", False),
-        ("AG EF done >= 3", None),
+        ("AG EF done >= 3", False),
+        ("AG AF done >= 3", None),
         ("A [ up = 1 U down = 1 ]", True),
         ("(EF down = 1) and not (EF up + down + lost > 1)", True),
         ("up = 1", True),
@@ -286,6 +287,8 @@ def test_a_proof_needs_no_markings():
     answer = answer_query(analysis, "EF b0 + b1 + b2 + b3 + b59 = 5")
     assert answer.holds is True and len(answer.sequence) >= 5
     answer = answer_query(analysis, "AG EF a0 + a59 = 2")
+    assert answer.holds is True and answer.decided_by in ("structure", "state equation")
+    answer = answer_query(analysis, "AG (EF a0 = 1 and EF a59 = 1)")
     assert answer.holds is None and "not decided within" in answer.undecided
     assert answer_query(analysis, "AF a0 + b0 = 2").holds is False
 

@@ -1,0 +1,103 @@
+"""What can be reached again from every reachable marking (``AG EF``), as a question about single
+markings.
+
+Take a weight for every place, whole and not negative, and the transitions whose firing makes the
+weighted sum of tokens smaller. A run that fires only these ends. So if some reachable marking can
+never come to the goal, then so can one in which the goal does not hold and none of these
+transitions can fire. That no such marking is reachable is a question like others, which a proof may
+answer at any size; whether one of them can come to the goal, a search from there tells. The weights
+used here are distances to the places in which the goal wants tokens.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Callable, Deque, Dict, Iterable, Iterator, List, Optional, Sequence, Set
+
+from gspn_framework_package.analysis.proofs.checker import Atom, Formula, fulfils
+from gspn_framework_package.model.errors import LimitError
+from gspn_framework_package.model.net import Marking, Net
+
+MOST_FOLLOWED = 20_000
+"""Most markings that are visited from one of which it is asked whether it can come to the goal."""
+
+
+def nearing(
+    net: Net, goal: Formula, moving: Iterable[int], transitions: Sequence[int]
+) -> List[int]:
+    """Those of the transitions whose firing brings tokens nearer to the goal.
+
+    :param moving: the places whose tokens have distances; others count 0.
+    """
+    inside = set(moving)
+    atoms = [atom for atom in _atoms(goal) if atom.least > 0 or any(w < 0 for _, w in atom.terms)]
+    wanted = {p for atom in atoms for p, weight in atom.terms if weight > 0} & inside
+    if not wanted:
+        wanted = inside - {p for atom in atoms for p, _ in atom.terms}
+    distance = dict.fromkeys(wanted, 0)
+    producing: Dict[int, List[int]] = {p: [] for p in inside}
+    for t in transitions:
+        for p, _ in net.outputs[t]:
+            if p in inside:
+                producing[p].append(t)
+    waiting: Deque[int] = deque(wanted)
+    while waiting:
+        after = waiting.popleft()
+        for t in producing[after]:
+            for p, _ in net.inputs[t]:
+                if p in inside and p not in distance:
+                    distance[p] = distance[after] + 1
+                    waiting.append(p)
+    far = max(distance.values(), default=0) + 1
+    return [
+        t
+        for t in transitions
+        if sum(distance.get(p, far) * n for p, n in net.effect(t) if p in inside) < 0
+    ]
+
+
+def never_returns(
+    net: Net,
+    facts: Sequence[Formula],
+    holds: Callable[[Marking], bool],
+    fires: Callable[[Marking], Iterable[int]],
+) -> Callable[[Marking], bool]:
+    """Whether a marking fulfils the facts, and the goal ``holds`` in none that it can come to.
+
+    The function raises LimitError if that takes too many markings.
+    """
+    returning: Set[Marking] = set()
+
+    def is_bad(marking: Marking) -> bool:
+        if marking in returning or not all(fulfils(fact, marking) for fact in facts):
+            return False
+        came: Dict[Marking, Optional[Marking]] = {marking: None}
+        waiting: Deque[Marking] = deque([marking])
+        while waiting:
+            now = waiting.popleft()
+            if now in returning or holds(now):
+                back: Optional[Marking] = now
+                while back is not None:
+                    returning.add(back)
+                    back = came[back]
+                return False
+            for t in fires(now):
+                after = net.fire(now, t)
+                if after not in came:
+                    came[after] = now
+                    waiting.append(after)
+            if len(came) > MOST_FOLLOWED:
+                raise LimitError("not decided: too many markings follow one of those in question")
+        return True
+
+    return is_bad
+
+
+def _atoms(formula: Formula) -> Iterator[Atom]:
+    waiting: List[Formula] = [formula]
+    while waiting:
+        part = waiting.pop()
+        if isinstance(part, Atom):
+            yield part
+        else:
+            waiting += part.parts

@@ -1,0 +1,221 @@
+"""What can be reached again from everywhere, and the most tokens in places: proofs are never wrong,
+and need no markings where distances show the way."""
+
+import json
+import os
+import random
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from asked_markings import SHAPES
+from generated_nets import bounded_nets, reference_space
+from generated_plans import small_plans
+from hypothesis import given, settings
+
+from gspn_framework_package.analysis.graph import can_reach
+from gspn_framework_package.analysis.plan.markings import PlanMarkings
+from gspn_framework_package.analysis.plan.structure import terminal_places
+from gspn_framework_package.analysis.proofs import returning, witness
+from gspn_framework_package.analysis.proofs.checker import check_certificate, played_to
+from gspn_framework_package.analysis.proofs.ladder import (
+    NOT_DECIDED,
+    PROVEN,
+    VIOLATED,
+    decide_question,
+)
+from gspn_framework_package.analysis.proofs.prover import solver_available
+from gspn_framework_package.analysis.proofs.questions import (
+    AT_MOST,
+    CAN_END,
+    RETURNS,
+    MarkingQuestion,
+    problem_of,
+)
+from gspn_framework_package.cli.main import main
+from gspn_framework_package.formats.registry import write_net
+from gspn_framework_package.model.action import FunctionAction
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.condition import parse_condition
+from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan, RobotSpec
+
+PLANS = Path(__file__).parents[3] / "plans"
+EXAMPLES = int(os.environ.get("GSPN_RETURNING_EXAMPLES", "20"))
+
+pytestmark = pytest.mark.skipif(
+    not solver_available(), reason="this SciPy has no solver for the state equation"
+)
+
+
+def questions_about(subject, seed):
+    draw = random.Random(seed)
+    net = subject if isinstance(subject, Net) else subject.net
+    names = [place.name for place in net.places]
+    for losses in (False,) if subject is net else (False, True):
+        for shape in draw.sample(SHAPES, 2):
+            counts = {"m": draw.randint(0, 2), "n": draw.randint(0, 1)}
+            pair = dict(zip("ab", draw.sample(names, 2)))
+            yield MarkingQuestion(RETURNS, shape % {**counts, **pair}, losses)
+        yield MarkingQuestion(AT_MOST, "%s=%d" % (draw.choice(names), draw.randint(0, 2)), losses)
+        if subject is not net and (subject.until or terminal_places(subject)):
+            yield MarkingQuestion(CAN_END, losses=losses)
+
+
+def holds_everywhere(subject, question):
+    """The answer by visiting all markings; None if there are too many."""
+    if isinstance(subject, Net):
+        graph = reference_space(subject)
+        names = [place.name for place in subject.places]
+        if question.kind == AT_MOST:
+            place, _, most = question.about.partition("=")
+            return max(m[names.index(place)] for m in graph) <= int(most)
+        good = {m for m in graph if parse_condition(question.about, names).holds(m)}
+        while True:
+            more = {m for m in set(graph) - good if good & set(graph[m].values())}
+            if not more:
+                return good == set(graph)
+            good |= more
+    kept = [place.name for place in subject.net.places]
+    markings = PlanMarkings(subject, 2_000, losses=question.losses, keep=kept)
+    space = markings.space
+    if not markings.complete:
+        return None
+    if question.kind == AT_MOST:
+        place, _, most = question.about.partition("=")
+        return not (space.holds("%s > %s" % (place, most)) & markings.reached).any()
+    if question.kind == CAN_END:
+        ends = {subject.net.places[p].name for p in terminal_places(subject)}
+        good = np.ones(len(space), dtype=bool)
+        for p, place in enumerate(markings.net.places):
+            if place.name not in ends and place.name not in subject.resource_places:
+                good &= space.column(p) == 0
+        if subject.until:
+            good |= space.holds(subject.until)
+    else:
+        good = space.holds(question.about)
+    arcs = markings.possible
+    back = can_reach(len(space), space.sources[arcs], space.targets[arcs], good)
+    return bool((back | ~markings.reached).all())
+
+
+@pytest.mark.parametrize("limit", [1, 2_000])
+@pytest.mark.parametrize("subjects", [bounded_nets(), small_plans()], ids=["nets", "plans"])
+def test_answers_are_those_of_visiting_all_markings(subjects, limit, monkeypatch):
+    for name, most in (("FIRST_MARKINGS", 50), ("MOST_SEARCHED", 100), ("MOST_WALKS", 2)):
+        monkeypatch.setattr(witness, name, most)
+    monkeypatch.setattr(witness, "LONGEST_WALK", 50)
+    count = Counter()
+
+    @settings(derandomize=True, max_examples=EXAMPLES, deadline=None)
+    @given(subjects)
+    def ask(subject):
+        for question in questions_about(subject, sum(count.values())):
+            expected = holds_everywhere(subject, question)
+            answer = decide_question(subject, question, limit=limit, seconds=60.0)
+            count[answer.verdict] += 1
+            problem = problem_of(subject, question)
+            if answer.verdict == PROVEN:
+                assert expected in (True, None), (question, answer)
+                check_certificate(problem, json.loads(json.dumps(answer.certificate)))
+            elif answer.verdict == VIOLATED:
+                assert expected in (False, None), (question, answer)
+                assert problem.is_bad(played_to(problem, answer.sequence))
+            else:
+                assert limit == 1 or expected is None, (question, answer)
+
+    ask()
+    assert count[PROVEN] > EXAMPLES / 3 and count[VIOLATED] > EXAMPLES / 3
+
+
+def switches(number):
+    builder = NetBuilder("switches")
+    for i in range(number):
+        builder.place("on%d" % i, tokens=1).place("off%d" % i)
+        builder.exponential("down%d" % i, inputs="on%d" % i, outputs="off%d" % i)
+        builder.exponential("up%d" % i, inputs="off%d" % i, outputs="on%d" % i)
+    return builder
+
+
+def test_a_return_is_proven_without_visiting_2_to_the_60_markings():
+    net = switches(60).build()
+    everything = " and ".join("on%d = 1" % i for i in range(60))
+    answer = decide_question(net, MarkingQuestion(RETURNS, everything), limit=0)
+    assert answer.verdict == PROVEN and "markings" not in answer.certificate
+    broken = switches(8).place("gone").exponential("break", inputs="on3", outputs="gone").build()
+    answer = decide_question(broken, MarkingQuestion(RETURNS, "on3 = 1"), limit=100)
+    assert answer.verdict == VIOLATED and answer.marking["gone"] == 1
+
+
+def test_what_goes_before_may_prevent_a_return():
+    """The way back is enabled, but what is immediate goes before it."""
+    builder = switches(1).place("loop", tokens=1)
+    builder.immediate("again", inputs=["off0", "loop"], outputs=["off0", "loop"])
+    answer = decide_question(builder.build(), MarkingQuestion(RETURNS, "on0 = 1"))
+    assert answer.verdict == VIOLATED and answer.sequence == ("down0",)
+
+
+def test_too_many_markings_follow(monkeypatch):
+    monkeypatch.setattr(returning, "MOST_FOLLOWED", 50)
+    net = switches(8).build()
+    question = MarkingQuestion(RETURNS, "min(on1, on2) > 1")
+    answer = decide_question(net, question)
+    assert answer.verdict == NOT_DECIDED
+    assert "too many markings follow" in answer.steps[-1].outcome
+
+
+def ending(robots, stuck):
+    """Robots go from a to the end, or get stuck in b."""
+    builder = NetBuilder("ending").place("a", tokens=robots).place("b").place("end")
+    builder.exponential("finish", inputs="a", outputs="end")
+    builder.exponential("stray", inputs="a", outputs="b")
+    if stuck:
+        builder.place("key").exponential("leave", inputs=["b", "key"], outputs=["end", "key"])
+    else:
+        builder.exponential("leave", inputs="b", outputs="end")
+    act = FunctionAction("actions.work", "work")
+    return Plan(
+        net=builder.build(),
+        resource_places=frozenset(["key"] if stuck else []),
+        robots=tuple(RobotSpec("r%d" % i, "a") for i in range(robots)),
+        actions={"a": act, "b": act, "end": None},
+    )
+
+
+def test_the_end_is_reached_from_everywhere_or_not():
+    question = MarkingQuestion(CAN_END)
+    answer = decide_question(ending(200, False), question, limit=0)
+    assert answer.verdict == PROVEN and answer.decided_by in ("structure", "state equation")
+    answer = decide_question(ending(3, True), question)
+    assert answer.verdict == VIOLATED and "stray" in answer.sequence
+    cycle = Plan(
+        net=switches(1).build(),
+        robots=(RobotSpec("r", "on0"),),
+        actions=dict.fromkeys(("on0", "off0"), FunctionAction("actions.work", "work")),
+    )
+    with pytest.raises(UsageError, match="the plan has no end"):
+        problem_of(cycle, question)
+    with pytest.raises(UsageError, match="a net has no"):
+        problem_of(cycle.net, question)
+
+
+def test_the_command(tmp_path, capsys):
+    path, proofs = tmp_path / "switches.pnpro", tmp_path / "proofs.json"
+    write_net(switches(3).build(), path)
+    words = ["check", str(path), "--returns", "on0 + on1 + on2 = 3", "--at-most", "o*=1"]
+    assert main([*words, "--certificate", str(proofs)]) == 0
+    out = capsys.readouterr().out
+    assert "proven       on0 + on1 + on2 = 3 can be reached from every marking" in out
+    assert "proven       never more tokens than o*=1" in out
+    assert main(["verify", str(proofs)]) == 0
+    assert main([*words, "--at-most", "on0=0"]) == 1
+    assert (
+        "violated     never more tokens than on0=0: nothing: at the start"
+        in capsys.readouterr().out
+    )
+    assert main(["check", str(path), "--at-most", "on0"]) == 2
+    assert "'on0' is no pattern and number" in capsys.readouterr().err
+    assert main(["check", str(path), "--ends"]) == 2
+    assert "a net has no policy, and no robots that end" in capsys.readouterr().err
