@@ -29,6 +29,10 @@ def said(namespace: str, service_uri: str) -> str:
     return "said\n%s\n%s" % (namespace, service_uri)
 
 
+NO_KEY = "this robot has no team key: give the order without one"
+"""Why a sealed order is refused by a team without a key."""
+
+
 class InboundMessages:
     """Checks the incoming messages of one robot on ROS; may be called on any thread.
 
@@ -112,10 +116,13 @@ class InboundMessages:
         if request.command != SEALED:
             if self._seal is not None and not is_question(request):
                 self._filter.refuse(who, "an order without the key of the team")
-                raise RefusedError("this team takes only orders with its key: --team-key-file FILE")
+                raise RefusedError(
+                    "this team takes only orders with its key: --team-key-file FILE, or start it "
+                    "with key:=none"
+                )
             return request, Operator(who)
         if self._seal is None:
-            raise RefusedError("this robot has no team key: give the order without one")
+            raise RefusedError(NO_KEY)
         try:
             opened = self._seal.open_order(request.argument, ORDER)
         except NotSealedError as error:

@@ -14,6 +14,7 @@ from gspn_framework_package.model.plan import Plan, Transport
 from gspn_framework_package.ros.transport.registration import master_proxy
 from gspn_framework_package.team.log_file import check_run_name, log_path
 from gspn_framework_package.team.patience import DEFAULT_PATIENCE, Patience
+from gspn_framework_package.team.run_key import AUTO, NONE, make_run_key, run_key_file
 
 ROOM = "/room"
 """The parameter that names the file of the room in which the robots drive; empty without one."""
@@ -66,8 +67,9 @@ class NodeOptions(NamedTuple):
     """With ``zenoh``: the folder of this robot's keys, or its parent folder; "" if the team has
     none."""
     team_key_file: str = ""
-    """With ``ros``: a file with the key that the robots and operators of the team share; "" if the
-    team has none."""
+    """With ``ros``: a file with the key that the robots and operators of the team share; ``auto``
+    for a key that the team makes for its run; "" for that key if it is on this machine; ``none``
+    for no key."""
     stay: bool = False
     """Whether the node keeps running and answering after the end of the run."""
     max_connections: int = 32
@@ -109,15 +111,33 @@ class NodeOptions(NamedTuple):
                 element="~transport",
                 hint="transport:=zenoh, or 'transport': 'zenoh' in the plan",
             )
-        if transport == Transport.ZENOH.value and self.team_key_file:
+        if transport == Transport.ZENOH.value and self.team_key_file not in ("", AUTO, NONE):
             raise UsageError(
                 "a team key cannot be used with the transport zenoh",
                 element="~team_key_file",
                 hint="use a folder of keys, from 'gspn keys team'",
             )
         keys = launched_file(self.keys, "~keys") if self.keys else ""
-        key_file = self.team_key_file and launched_file(self.team_key_file, "~team_key_file")
+        key_file = self._key_file() if transport == Transport.ROS.value else ""
         return self._replace(transport=transport, keys=keys, team_key_file=key_file)
+
+    def _key_file(self) -> str:
+        """The path of the team's key; "" if it has none."""
+        if self.team_key_file == AUTO:
+            path, is_new = make_run_key(self.run)
+            if is_new:
+                print(
+                    "the team's key is in %s, which only you can read; the page and gspn on this "
+                    "machine find it (key:=none: no key)" % path,
+                    flush=True,  # the process that forks the robots is no node, and has no log
+                )
+            return path
+        if self.team_key_file == NONE:
+            return ""
+        if self.team_key_file:
+            return launched_file(self.team_key_file, "~team_key_file")
+        path = run_key_file(self.run)
+        return path if os.path.lexists(path) else ""
 
     def log_file(self, robot: str) -> str:
         """The path of the log of ``robot``."""

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import getpass
 import json
+from functools import partial
 from typing import Any, Callable, Dict, List, Optional
 
 import rosgraph
 import rospy
 
 from gspn_framework_package.model.errors import ExecutionError
+from gspn_framework_package.ros.inbound import NO_KEY
 from gspn_framework_package.ros.transport.registration import (
     MASTER_ERRORS,
     address_of,
@@ -26,13 +28,15 @@ from gspn_framework_package.team.operator_client import (
     ask_robots,
 )
 from gspn_framework_package.team.orders import is_question
+from gspn_framework_package.team.run_key import find_run_key
 from gspn_framework_package.team.seal import ORDER, SEALED, Seal, TeamKey
 
 
 class SealedOrders:
     """Writes orders in the name of whoever runs this program, sealed if the team has a key.
 
-    :param key: the key of the team; None if it has none.
+    :param key: the key of the team; None: that which the team made for its run on this machine, if
+        there is one.
     :param program: what gives the orders, said beside the name; "": the person alone.
     """
 
@@ -41,16 +45,24 @@ class SealedOrders:
         self._name = _user() + (" (%s)" % program if program else "")
         self._seals: Dict[str, Seal] = {}
 
+    @property
+    def is_found(self) -> bool:
+        """Whether nobody gave the key, so that it may be of an earlier team of this run."""
+        return self._key is None
+
     def write(self, to: str, request: OperatorRequest) -> CommandRequest:
         """The request of the service.
 
         :param to: the robot that is asked; the others may not carry the order out.
         """
         run = request.run
-        if self._key is None or is_question(request):
+        if is_question(request):
             return CommandRequest(*request)
         if run not in self._seals:
-            self._seals[run] = Seal(self._key, run, self._name)
+            key = self._key or find_run_key(run)
+            if key is None:
+                return CommandRequest(*request)
+            self._seals[run] = Seal(key, run, self._name)
         body = json.dumps(request._asdict())
         return CommandRequest(SEALED, "", self._seals[run].close(to, body, ORDER), run)
 
@@ -77,18 +89,24 @@ class ServiceLine:
     ) -> bool:
         """See :class:`RobotLine`."""
         name = rospy.names.ns_join(address, "command")
-
-        def reply(response: CommandResponse) -> None:
-            answered(OperatorAnswer(response.success, response.message))
-
         try:
             uri = address_of(name)
         except MASTER_ERRORS as error:
             raise UnreachableError("the ROS master does not answer (%s)" % error) from None
-        written = self._orders.write(robot, request)
-        return uri is not None and self._calls.call(
-            address, uri, name, Command, written, reply, failed=lambda: answered(None)
-        )
+        if uri is None:
+            return False
+
+        def send(written: CommandRequest, may_be_plain: bool) -> bool:
+            def reply(response: CommandResponse) -> None:
+                if not may_be_plain or response.message != NO_KEY:
+                    answered(OperatorAnswer(response.success, response.message))
+                elif not send(CommandRequest(*request), False):
+                    answered(None)
+
+            failed = partial(answered, None)
+            return self._calls.call(address, uri, name, Command, written, reply, failed)
+
+        return send(self._orders.write(robot, request), self._orders.is_found)
 
     def statuses(self, argument: str) -> Dict[str, Optional[Dict[str, Any]]]:
         """See :class:`RobotLine`."""

@@ -23,6 +23,7 @@ from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.msg import FiredTransition, GSPNFiringData
 from gspn_framework_package.ros.messages import FIRED_TOPIC
+from gspn_framework_package.ros.service_line import ServiceLine, status_in
 from gspn_framework_package.ros.transport.ending import Ending
 from gspn_framework_package.ros.transport.node_process import run_node
 from gspn_framework_package.ros.transport.registration import MASTER_ERRORS, address_of
@@ -34,9 +35,9 @@ from gspn_framework_package.srv import (
     FireSyncTransitionResponse,
     GetState,
     GetStateRequest,
-    SetPlace,
-    SetPlaceRequest,
 )
+from gspn_framework_package.team.carrier import OperatorRequest
+from gspn_framework_package.team.operator_client import UnreachableError, ask_robots
 from gspn_framework_package.team.orders import ORDER_TIME
 
 _TOPIC = "/TRANSITIONS_FIRED"
@@ -69,6 +70,7 @@ class ThesisInterface:
     def __init__(self, robots: int, prefix: str, run: str) -> None:
         self._prefix, self._run = prefix, run
         self._calls = ServiceCalls(deadline=ORDER_TIME)
+        self._line = ServiceLine(ORDER_TIME)
         self._publisher = rospy.Publisher(_TOPIC, GSPNFiringData, queue_size=1000)
         self._services = []
         for number in range(1, robots + 1):
@@ -85,6 +87,7 @@ class ThesisInterface:
     def close(self) -> None:
         """End the threads of the calls."""
         self._calls.close()
+        self._line.close()
 
     def _service(self, number: int, name: str) -> str:
         return str(rospy.resolve_name("/%s%d/%s" % (self._prefix.strip("/"), number, name)))
@@ -100,8 +103,19 @@ class ThesisInterface:
         return CurrentPlaceResponse(state.place, "DOING" if doing else "DONE", number)
 
     def _fire_sync(self, number: int, request: genpy.Message) -> FireSyncTransitionResponse:
-        order = SetPlaceRequest(place=request.place_to_go, run=self._run)
-        answer = self._ask(number, "set_place", SetPlace, order)
+        namespace = self._service(number, "")
+        status = status_in(namespace)
+        if status is None:
+            raise rospy.ServiceException("%s does not answer" % namespace)
+        run = self._run or status["run"]
+        order = OperatorRequest("set_place", status["robot"], request.place_to_go, run)
+        asked = {namespace: str(status["robot"])}
+        try:
+            answer = ask_robots(self._line, asked, order, ORDER_TIME + 1.0)[namespace]
+        except UnreachableError as error:
+            raise rospy.ServiceException(str(error)) from None
+        if answer is None:
+            raise rospy.ServiceException("%s does not answer" % namespace)
         return FireSyncTransitionResponse("SUCCESS" if answer.success else answer.message)
 
     def _ask(self, number: int, name: str, service_class: type, request: genpy.Message) -> Any:

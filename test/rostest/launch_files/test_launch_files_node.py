@@ -137,7 +137,9 @@ class LaunchFilesTest(unittest.TestCase):
             wait_for(lambda: self.shows_a_run(ports[run]), 60, "the page of " + run)
             self.assertEqual(self.board(ports[run])["status"]["run"], run)
 
-        self.assertEqual(main(["stop", "--run", "stops"]), 0)
+        stop = rospy.ServiceProxy("/ends/robot_1/command", Command)("stop", "", "", "ends")
+        self.assertIn("only orders with its key", stop.message, "a team has a key by itself")
+        self.assertEqual(main(["stop", "--run", "stops"]), 0, "which the verbs find")
         wait_for(lambda: self.board(ports["stops"])["status"]["ended"], 30, "the end on its page")
         self.assertTrue(self.board(ports["ends"])["status"]["running"])
         self.assertEqual(self.status("ends", 2)["ended"], None)
