@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from waiting import PATIENCE
 
 import gspn_framework_package
 
@@ -21,7 +22,9 @@ def _built(tmp_path_factory):
     (folder / "parts").mkdir()
     (folder / "parts" / "second.md").write_text("# Second\n\nA rare word.\n")
     command = [sys.executable, "-m", "sphinx", "-q", "-c", str(DOCS), str(folder)]
-    subprocess.run([*command, str(folder / "html")], check=True, timeout=250, cwd=str(folder))
+    subprocess.run(
+        [*command, str(folder / "html")], check=True, timeout=250 * PATIENCE, cwd=str(folder)
+    )
     return folder / "html"
 
 

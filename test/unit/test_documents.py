@@ -28,6 +28,7 @@ from document_commands import PACKAGE, ROOT, Command, File, documents, steps
 from PIL import Image
 from terminal import Terminal
 from test_project_files import apt_packages
+from waiting import PATIENCE
 
 import gspn_framework_package
 from gspn_framework_package.cli.main import _parser, all_verbs, main
@@ -160,7 +161,12 @@ def _try(command: Command, sandbox: Path, capfd: pytest.CaptureFixture) -> None:
 def _passes(command: Command, words: list, sandbox: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
     tried = subprocess.run(
-        words, cwd=str(sandbox), env=environment, capture_output=True, text=True, timeout=300
+        words,
+        cwd=str(sandbox),
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300 * PATIENCE,
     )
     assert tried.returncode == 0, "%s\n%s%s" % (command, tried.stdout, tried.stderr)
 
@@ -189,7 +195,7 @@ def _in_a_shell(line: str, sandbox: Path) -> Tuple[int, str]:
         ["bash", "-c", '"$PYTHON" -m ' + PACKAGE + line],
         cwd=str(sandbox),
         env=environment,
-        timeout=120,
+        timeout=120 * PATIENCE,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
@@ -225,7 +231,7 @@ def _help(program: Tuple[str, ...]) -> Tuple[int, str]:
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
-        timeout=120,
+        timeout=120 * PATIENCE,
         text=True,
     )
     return told.returncode, told.stdout
@@ -282,7 +288,7 @@ def test_five_minutes_typed_in_a_terminal(sandbox, tmp_path):
                 terminal.begin(line + " --port 0")
                 address = re.search(r"http://[^\s]+", terminal.shows(r"The page is at .*Ctrl-C"))
                 assert address, str(step)
-                with urllib.request.urlopen(address.group(0), timeout=60) as page:
+                with urllib.request.urlopen(address.group(0), timeout=60 * PATIENCE) as page:
                     assert b"<title" in page.read(), str(step)
                 terminal.interrupt()
                 code, text = terminal.end()
@@ -622,7 +628,7 @@ def test_the_plan_of_the_readme_prints_what_the_readme_says(tmp_path):
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=120 * PATIENCE,
     )
     assert ran.returncode == 0, ran.stderr
     readme = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from waiting import PATIENCE
 
 from gspn_framework_package.cli import mcp_tools
 from gspn_framework_package.cli.mcp_server import VERSIONS, ModelContextServer
@@ -278,14 +279,17 @@ def test_calls_end_in_an_answer_progress_or_silence():
         request("tools/call", 3, name="break"),
     ):
         send.write(json.dumps(message).encode() + b"\n")
-    answers = {answer["id"]: answer["result"] for answer in (news.get(timeout=20) for _ in "123")}
+    answers = {
+        answer["id"]: answer["result"]
+        for answer in (news.get(timeout=20 * PATIENCE) for _ in "123")
+    }
     assert answers[1]["content"] == [{"type": "text", "text": 'said {"a": "\\u00fc"}'}]
     assert not answers[1]["isError"] and answers[2]["isError"] and answers[3]["isError"]
     assert answers[2]["content"][0]["text"] == "error: no (yes)"
     assert "ValueError" in answers[3]["content"][0]["text"]
     send.write(json.dumps(request("tools/call", 4, name="wait", _meta=meta)).encode() + b"\n")
     assert tools.begun.wait(20)
-    progress = news.get(timeout=20)
+    progress = news.get(timeout=20 * PATIENCE)
     assert progress["method"] == "notifications/progress"
     assert progress["params"]["progressToken"] == "p"
     cancel = {"jsonrpc": "2.0", "method": "notifications/cancelled", "params": {"requestId": 4}}
@@ -293,7 +297,7 @@ def test_calls_end_in_an_answer_progress_or_silence():
         json.dumps(cancel).encode() + b"\n" + json.dumps(request("ping", 5)).encode() + b"\n"
     )
     send.close()
-    left = list(iter(lambda: news.get(timeout=20), None))
+    left = list(iter(lambda: news.get(timeout=20 * PATIENCE), None))
     assert [m["id"] for m in left if "id" in m] == [5]  # nobody waits for a cancelled call
 
 
@@ -326,7 +330,7 @@ def test_the_program_answers_until_its_input_ends(plans):
         result = json.loads(server.stdout.readline())["result"]
         assert json.loads(result["content"][0]["text"])["accepted"] and not result["isError"]
         assert result["structuredContent"] == json.loads(result["content"][0]["text"])
-        out, err = server.communicate(timeout=60)
+        out, err = server.communicate(timeout=60 * PATIENCE)
         assert (server.returncode, out, err) == (0, b"", b"")
 
 
@@ -338,4 +342,4 @@ def test_what_a_call_runs_ends_with_a_killed_program(plans):
             children = psutil.Process(server.pid).children()
             time.sleep(0.02)
         server.kill()
-        assert children and not psutil.wait_procs(children, timeout=30)[1]
+        assert children and not psutil.wait_procs(children, timeout=30 * PATIENCE)[1]

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from waiting import PATIENCE
 
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats.plan_file import read_plan
@@ -60,7 +61,7 @@ def test_the_tests_of_the_new_plans_pass(made):
         cwd=str(made),
         capture_output=True,
         text=True,
-        timeout=250,
+        timeout=250 * PATIENCE,
     )
     assert done.returncode == 0, done.stdout
     assert "skipped" not in done.stdout

@@ -13,6 +13,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import pytest
+from waiting import PATIENCE
 
 import gspn_framework_package
 from gspn_framework_package.analysis.simulation import kernel
@@ -158,7 +159,7 @@ def gspn(*words, start=("-m", PACKAGE.name)):
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=60 * PATIENCE,
     )
 
 
@@ -531,7 +532,7 @@ print(*sys.modules)
         stdout=subprocess.PIPE,
         text=True,
         check=True,
-        timeout=120,
+        timeout=120 * PATIENCE,
     ).stdout.split()
     assert "{}.{}".format(PACKAGE.name, layer) in imported
     assert [name for name in imported if ROS.match(name)] == []
@@ -772,7 +773,7 @@ def test_an_interrupt_while_a_library_is_imported_is_no_fault(when):
         cwd=str(ROOT),
         env=clean_environment(),
         stderr=subprocess.PIPE,
-        timeout=60,
+        timeout=60 * PATIENCE,
     )
     assert (process.returncode, process.stderr) == (130, b"gspn: interrupted\n")
 
@@ -810,7 +811,7 @@ def test_a_reader_that_leaves_gets_no_complaint():
             env=clean_environment(),
             stdout=writing,
             stderr=subprocess.PIPE,
-            timeout=60,
+            timeout=60 * PATIENCE,
         )
     finally:
         os.close(writing)

@@ -11,6 +11,7 @@ import types
 from pathlib import Path
 
 import pytest
+from waiting import PATIENCE
 
 import gspn
 from gspn.results import Result
@@ -315,7 +316,7 @@ def test_the_examples_are_listed():
         stdout=subprocess.PIPE,
         text=True,
         check=True,
-        timeout=60,
+        timeout=60 * PATIENCE,
     )
     assert [name for name in gspn.example_names() if name + ": " not in ran.stdout] == []
     assert "gspn new --example NAME DIR" in ran.stdout

@@ -21,7 +21,7 @@ from std_msgs.msg import Header
 HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path[:0] = [HERE, os.path.join(os.path.dirname(HERE), "support")]
 
-from waiting import wait_for
+from waiting import PATIENCE, wait_for
 from worker import PATIENT, Worker, plan_in
 
 from gspn_framework_package.execution.firing import StartAction
@@ -109,7 +109,7 @@ class Server:
     def next(self):
         """The next goal, once its result would be heard: a client knows of its connection a moment
         earlier."""
-        goal = self.goals.get(timeout=20)
+        goal = self.goals.get(timeout=20 * PATIENCE)
         wait_for(self.server.result_pub.get_num_connections, what="a client of the results")
         return goal
 
@@ -224,7 +224,7 @@ class ActionsTest(unittest.TestCase):
         wait_for(robot.is_under_way, what="the goal to be taken")
         servers.stop()
         wait_for(lambda: acts.ended == [(4, True)], what="its end")
-        self.assertEqual(robot.ended.get(timeout=20).outcome, "server died")
+        self.assertEqual(robot.ended.get(timeout=20 * PATIENCE).outcome, "server died")
 
     def test_a_place_that_is_not_served_is_rejected(self):
         plan = plan_of(
@@ -305,7 +305,7 @@ class ActionsTest(unittest.TestCase):
             goal = server.next()
             goal.set_accepted()
             goal.set_succeeded(ExecGSPNResult("T1"), text)
-            ended = robot.ended.get(timeout=20)
+            ended = robot.ended.get(timeout=20 * PATIENCE)
             self.assertEqual((ended.data, ended.outcome), (data, outcome))
         self.assertIn("no name", ended.detail)
         wait_for(lambda: len(texts) >= 3, what="the goals")
@@ -347,14 +347,14 @@ class ActionsTest(unittest.TestCase):
         self.assertGreater(target.header.stamp.to_sec(), 0)
         goal.set_accepted()
         goal.set_succeeded()
-        self.assertEqual(robot.ended.get(timeout=20).data, {})
+        self.assertEqual(robot.ended.get(timeout=20 * PATIENCE).data, {})
         for how, result in (("set_succeeded", ""), ("set_aborted", "T_no")):
             robot.send("P2", data={"robot.number": 3})
             goal = fibonacci.next()
             self.assertEqual(goal.get_goal().goal, 3)
             goal.set_accepted()
             getattr(goal, how)(TestResult(result=8))
-            ended = robot.ended.get(timeout=20)
+            ended = robot.ended.get(timeout=20 * PATIENCE)
             self.assertEqual((ended.result, ended.data), (result, {"task.answer": 8}))
         for data, detail in (
             ({}, "there is no data 'robot.number'"),
@@ -376,7 +376,7 @@ class ActionsTest(unittest.TestCase):
         goal.set_accepted()
         server.server.publish_result = lambda status, result: None
         goal.set_succeeded()
-        self.assertEqual(robot.ended.get(timeout=20).outcome, "lost")
+        self.assertEqual(robot.ended.get(timeout=20 * PATIENCE).outcome, "lost")
 
     # -- the end of cancelled goals ----------------------------------------------------------------
 
@@ -489,7 +489,7 @@ class ActionsTest(unittest.TestCase):
         )
         robot.send("P1")
         wait_for(lambda: "nobody" in robot.caller.doing(), what="what it waits for")
-        ended = robot.ended.get(timeout=20)
+        ended = robot.ended.get(timeout=20 * PATIENCE)
         self.assertEqual(ended.outcome, "no server")
         self.assertIn(self.namespace + "/nobody", ended.detail)
 
@@ -501,7 +501,7 @@ class ActionsTest(unittest.TestCase):
         goal = server.next()
         goal.set_accepted()
         goal.set_succeeded(ExecGSPNResult("T1"))
-        self.assertEqual(robot.ended.get(timeout=20).result, "T1")
+        self.assertEqual(robot.ended.get(timeout=20 * PATIENCE).result, "T1")
 
     def test_a_server_that_dies_with_the_goal_is_noticed(self):
         # of a killed server the closed connections must be noticed, long before its silence is
@@ -525,7 +525,7 @@ class ActionsTest(unittest.TestCase):
             robot.send("P1")
             wait_for(robot.is_under_way, 20, "the server to take the goal")
             subprocess.check_call(["kill", "-" + signal, str(process.pid)])
-            ended = robot.ended.get(timeout=20)
+            ended = robot.ended.get(timeout=20 * PATIENCE)
             self.assertEqual(ended.outcome, "server died", ended.detail)
             limit = "~result_timeout" if how == "killed" else "~status_timeout"
             self.assertIn(limit, ended.detail)
@@ -539,7 +539,7 @@ class ActionsTest(unittest.TestCase):
         server.next().set_accepted()
         wait_for(robot.is_under_way, what="the server to take the goal")
         server.server.status_list = []  # as after a restart
-        ended = robot.ended.get(timeout=20)
+        ended = robot.ended.get(timeout=20 * PATIENCE)
         self.assertEqual(ended.outcome, "server died")
         self.assertIn("no longer knows the goal", ended.detail)
 
@@ -574,7 +574,7 @@ class ActionsTest(unittest.TestCase):
             "did not acknowledge the goal within 0.9 s (~acknowledgement_timeout)", ended.detail
         )
         wait_for(lambda: cancelled, what="the request to cancel it")
-        goal = goals.get(timeout=20)
+        goal = goals.get(timeout=20 * PATIENCE)
         self.assertEqual(parse_goal_id(goal.goal_id.id).robot, "robot_1")
         self.assertTrue(goals.empty(), "it was sent again")
         answer(goal)
@@ -582,8 +582,8 @@ class ActionsTest(unittest.TestCase):
         self.assertIn("/late reports 'succeeded' for an abandoned goal", faults[0])
         patient = self.robot(plan_of({"P1": ServerAction(EXEC, "late")}))
         patient.send("P1")
-        answer(goals.get(timeout=20))  # before any status: it counts
-        self.assertEqual(patient.ended.get(timeout=20).result, "T_late")
+        answer(goals.get(timeout=20 * PATIENCE))  # before any status: it counts
+        self.assertEqual(patient.ended.get(timeout=20 * PATIENCE).result, "T_late")
 
     def test_a_server_of_another_type_is_named_with_both_types(self):
         name = self.namespace + "/other"
@@ -623,7 +623,7 @@ class ActionsTest(unittest.TestCase):
                 wait_for(lambda: connection.silence(caller) > 1.0, what="a second of silence")
                 self.assertTrue(robot.ended.empty())
                 goal.set_succeeded(ExecGSPNResult("T1"))
-                self.assertEqual(robot.ended.get(timeout=20).result, "T1")
+                self.assertEqual(robot.ended.get(timeout=20 * PATIENCE).result, "T1")
             finally:
                 rospy.delete_param(parameter)
 
@@ -657,7 +657,7 @@ class ActionsTest(unittest.TestCase):
         wait_for(lambda: others.count("/second") > 10, 20, "statuses of the second server")
         self.assertTrue(robot.ended.empty())
         goal.set_succeeded(ExecGSPNResult("T1"))
-        self.assertEqual(robot.ended.get(timeout=20).result, "T1")
+        self.assertEqual(robot.ended.get(timeout=20 * PATIENCE).result, "T1")
 
     def test_an_action_that_takes_too_long_is_cancelled(self):
         server = Server(self.namespace + "/slow", ExecGSPNAction)
@@ -665,7 +665,7 @@ class ActionsTest(unittest.TestCase):
         robot = self.robot(plan)
         robot.send("P1")
         server.next().set_accepted()
-        ended = robot.ended.get(timeout=20)
+        ended = robot.ended.get(timeout=20 * PATIENCE)
         self.assertEqual(
             (ended.outcome, ended.detail),
             ("timeout", "the action took longer than 0.5 s (timeout in the plan)"),
@@ -685,7 +685,7 @@ class ActionsTest(unittest.TestCase):
         second = server.next()
         second.set_accepted()
         second.set_succeeded(ExecGSPNResult("T2"))
-        self.assertEqual(robot.ended.get(timeout=20).result, "T2")
+        self.assertEqual(robot.ended.get(timeout=20 * PATIENCE).result, "T2")
         self.assertTrue(robot.ended.empty())
 
     # -- action types of others --------------------------------------------------------------------
@@ -712,7 +712,7 @@ class ActionsTest(unittest.TestCase):
         self.assertGreater(target.header.stamp.to_sec(), 0)
         goal.set_accepted()
         goal.set_succeeded()
-        self.assertEqual(robot.ended.get(timeout=20)[1:4], ("T_there", "succeeded", ""))
+        self.assertEqual(robot.ended.get(timeout=20 * PATIENCE)[1:4], ("T_there", "succeeded", ""))
         for place, how, expected in (
             ("P1", "set_aborted", ("T_blocked", "succeeded", "")),
             ("P2", "set_succeeded", ("", "succeeded", "")),
@@ -723,10 +723,10 @@ class ActionsTest(unittest.TestCase):
             goal = server.next()
             goal.set_accepted()
             getattr(goal, how)(text="no way")
-            self.assertEqual(robot.ended.get(timeout=20)[1:4], expected, (place, how))
+            self.assertEqual(robot.ended.get(timeout=20 * PATIENCE)[1:4], expected, (place, how))
         robot.send("P2")
         server.next().set_rejected(text="not now")
-        self.assertEqual(robot.ended.get(timeout=20)[1:4], ("", "rejected", "not now"))
+        self.assertEqual(robot.ended.get(timeout=20 * PATIENCE)[1:4], ("", "rejected", "not now"))
 
     def test_a_goal_that_does_not_fit_is_refused_before_the_run(self):
         from gspn_framework_package.model.errors import PlanError

@@ -18,7 +18,7 @@ HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
 
 from meeting import WORK, meeting_of
-from waiting import wait_for
+from waiting import PATIENCE, wait_for
 
 from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.verifier import verify
@@ -75,7 +75,10 @@ class CarriersTest(unittest.TestCase):
         def statuses():
             keys = ["--connect", self.endpoint, "--keys", self.keys_of("ann")]
             done = subprocess.run(
-                [*GSPN, "status", *keys, "--json"], stdout=subprocess.PIPE, text=True, timeout=30
+                [*GSPN, "status", *keys, "--json"],
+                stdout=subprocess.PIPE,
+                text=True,
+                timeout=30 * PATIENCE,
             )
             return set(json.loads(done.stdout)) if done.returncode == 0 else set()
 

@@ -18,7 +18,7 @@ from rosgraph_msgs.msg import Clock
 HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path[:0] = [HERE, os.path.join(os.path.dirname(HERE), "support")]
 
-from waiting import wait_for
+from waiting import PATIENCE, wait_for
 from worker import PATIENT, Worker, plan_in
 
 from gspn_framework_package.execution.firing import StartAction
@@ -102,13 +102,13 @@ class ClockTest(unittest.TestCase):
         wait_for(lambda: rospy.get_time() < 900.0, what="the clock to go back")
         wait_for(lambda: rospy.get_time() > 501.5, what="longer than the server may be silent")
         self.release.set()
-        self.assertEqual(self.ended.get(timeout=20).outcome, "succeeded")
+        self.assertEqual(self.ended.get(timeout=20 * PATIENCE).outcome, "succeeded")
         self.release.clear()
         self.send(2)
         wait_for(self.is_under_way, what="the server to take the next goal")
         wait_for(lambda: rospy.get_time() > 503.0, what="longer than the server may be silent")
         self.release.set()
-        self.assertEqual(self.ended.get(timeout=20).outcome, "succeeded")
+        self.assertEqual(self.ended.get(timeout=20 * PATIENCE).outcome, "succeeded")
         self.assertEqual(len(self.faults), 1, self.faults)
         self.assertRegex(self.faults[0], r"time went back by \d{3}\.\d s \(/clock\)")
 
@@ -128,7 +128,7 @@ class ClockTest(unittest.TestCase):
         wait_for(lambda: time.monotonic() > paused + 1.0, what="longer than the action may take")
         self.assertTrue(self.ended.empty())
         self.clock.rate = 1.0
-        self.assertEqual(self.ended.get(timeout=20).outcome, "timeout")
+        self.assertEqual(self.ended.get(timeout=20 * PATIENCE).outcome, "timeout")
 
     def test_the_delay_of_an_attempt_passes_by_simulated_time(self):
         self.robot()

@@ -21,7 +21,7 @@ sys.path[:0] = [os.path.join(TEST, "unit"), os.path.join(os.path.dirname(HERE), 
 
 from document_commands import ROOT, Command, File, documents, steps
 from terminal import Terminal
-from waiting import wait_for
+from waiting import PATIENCE, wait_for
 
 PACKAGE = "gspn_framework_package"
 
@@ -48,7 +48,7 @@ class Documents(unittest.TestCase):
         shown = subprocess.run(
             ["rostopic", "echo", "-n", "1", "/fired_transitions"],
             stdout=subprocess.DEVNULL,
-            timeout=60,
+            timeout=60 * PATIENCE,
         )
         assert shown.returncode == 0
 
@@ -155,7 +155,7 @@ class Documents(unittest.TestCase):
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 text=True,
-                timeout=60,
+                timeout=60 * PATIENCE,
             )
         finally:
             os.close(master)

@@ -21,7 +21,7 @@ HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path[:0] = [HERE, os.path.join(os.path.dirname(HERE), "support")]
 
 from robots import RobotTestCase, chain
-from waiting import wait_for
+from waiting import PATIENCE, wait_for
 from worker import PATIENT, Worker, plan_in
 
 from gspn_framework_package.execution.agreement.interface import AttemptFailed
@@ -74,7 +74,7 @@ class Robot:
         self._worker.put(self.runner.start, command, time.monotonic())
 
     def end(self):
-        ended = self.ended.get(timeout=20)
+        ended = self.ended.get(timeout=20 * PATIENCE)
         if isinstance(ended, AttemptFailed):
             return "", ended.reason, ended.detail, {}
         return ended.result, "", "", ended.data

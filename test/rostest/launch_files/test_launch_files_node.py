@@ -20,7 +20,7 @@ TESTS = os.path.dirname(HERE)
 sys.path[:0] = [os.path.join(TESTS, "support"), os.path.join(TESTS, "..", "..")]
 
 from robots import chain, write_plan
-from waiting import wait_for
+from waiting import PATIENCE, wait_for
 
 from benchmarks.harness.ports import free_port
 from gspn_framework_package.cli.main import main
@@ -171,7 +171,7 @@ class LaunchFilesTest(unittest.TestCase):
 
     def board(self, port):
         with urllib.request.urlopen(
-            "http://127.0.0.1:%d/api/poll?id=live" % port, timeout=20
+            "http://127.0.0.1:%d/api/poll?id=live" % port, timeout=20 * PATIENCE
         ) as answer:
             return json.load(answer)["snapshot"]["board"]
 

@@ -16,7 +16,7 @@ HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
 
 from robots import ROOT, Robot, RobotTestCase, chain
-from waiting import wait_for
+from waiting import PATIENCE, wait_for
 
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.msg import Marking, RobotActivity, TeamState
@@ -92,7 +92,7 @@ class ServicesTest(RobotTestCase):
             self.assertEqual(team["robot_1"].state().place, "A")
             nodes = ["/robot_1/executor", "/robot_2/executor"]
             subprocess.check_call(
-                ["rosnode", "kill", *nodes], stdout=subprocess.DEVNULL, timeout=60
+                ["rosnode", "kill", *nodes], stdout=subprocess.DEVNULL, timeout=60 * PATIENCE
             )
             self.assertEqual([robot.exit_code() for robot in team], [0, 0])
             for node in nodes:  # nothing is left for 'rosnode cleanup'
@@ -101,7 +101,9 @@ class ServicesTest(RobotTestCase):
 
     def typed_messages_say_the_same(self, robot):
         def latest(topic, kind):
-            return rospy.wait_for_message("/%s/%s" % (robot.name, topic), kind, timeout=20)
+            return rospy.wait_for_message(
+                "/%s/%s" % (robot.name, topic), kind, timeout=20 * PATIENCE
+            )
 
         own = latest("robot_activity", RobotActivity)
         self.assertEqual((own.robot, own.place, own.place_number), ("robot_1", "A", 0))
@@ -123,7 +125,7 @@ class ServicesTest(RobotTestCase):
         robot_1, robot_2 = team["robot_1"], team["robot_2"]
 
         program = [sys.executable, "-m", "gspn_framework_package", "status"]
-        output = subprocess.check_output(program, text=True, cwd=ROOT, timeout=60)
+        output = subprocess.check_output(program, text=True, cwd=ROOT, timeout=60 * PATIENCE)
         self.assertRegex(output, r"robot_1 +A +Doing +1 ")
         code, output = gspn("status", "--json")
         self.assertEqual(json.loads(output)["/robot_2"]["robot"], "robot_2")

@@ -17,7 +17,7 @@ TESTS = os.path.dirname(HERE)
 sys.path[:0] = [os.path.join(TESTS, "support"), os.path.join(TESTS, "..", "..")]
 
 from robots import ROOT, RobotTestCase, copy_plan, start_node
-from waiting import wait_for
+from waiting import PATIENCE, wait_for
 
 from benchmarks.harness.ports import free_port
 
@@ -47,7 +47,9 @@ class Page:
 
     def snapshot(self):
         try:
-            with urllib.request.urlopen(self.address + "/api/poll?id=live", timeout=20) as answer:
+            with urllib.request.urlopen(
+                self.address + "/api/poll?id=live", timeout=20 * PATIENCE
+            ) as answer:
                 return json.load(answer)["snapshot"]
         except OSError:
             return None
@@ -70,7 +72,7 @@ class Page:
             {"Content-Type": "application/json", "X-Gspn-Page": "1"},
         )
         try:
-            with urllib.request.urlopen(request, timeout=30):
+            with urllib.request.urlopen(request, timeout=30 * PATIENCE):
                 return True
         except urllib.error.HTTPError as error:
             self.refusals.append((error.code, json.load(error)["error"]))

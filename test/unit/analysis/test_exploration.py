@@ -10,6 +10,7 @@ import pytest
 from generated_nets import bounded_nets, reference_space
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from waiting import PATIENCE
 
 from benchmarks.large_nets import ring, star
 from benchmarks.nets import kanban, philosophers
@@ -307,4 +308,6 @@ def test_numba_is_not_loaded_for_what_numpy_does_sooner():
         "assert 'numba' not in sys.modules\n"
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    subprocess.run([sys.executable, "-c", program], check=True, timeout=300, env=environment)
+    subprocess.run(
+        [sys.executable, "-c", program], check=True, timeout=300 * PATIENCE, env=environment
+    )

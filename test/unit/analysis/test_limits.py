@@ -8,7 +8,7 @@ import sys
 import threading
 
 import pytest
-from waiting import wait_for
+from waiting import PATIENCE, wait_for
 
 from benchmarks.large_nets import cells, ring, workflow
 from benchmarks.nets import kanban, philosophers
@@ -225,7 +225,7 @@ def test_an_interrupt_ends_the_work_at_once(tmp_path):
     try:
         wait_for(lambda: _threads(process.pid) >= 2, 120, "the analysis to begin")
         process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=60 * PATIENCE)
     finally:
         process.kill()
     assert process.returncode == 130 and err.strip() == "gspn: interrupted"
@@ -248,7 +248,7 @@ def _is_ended_by_an_interrupt(program, line):
     try:
         assert process.stdout.readline() == line + "\n"
         process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=60 * PATIENCE)
     finally:
         process.kill()
     assert process.returncode == 130 and err.strip() == "gspn: interrupted"

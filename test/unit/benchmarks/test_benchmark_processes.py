@@ -8,7 +8,7 @@ import time
 
 import psutil
 import pytest
-from waiting import wait_for
+from waiting import PATIENCE, wait_for
 
 from benchmarks.harness.programs import Programs
 from gspn_framework_package.model.errors import ExecutionError
@@ -38,7 +38,7 @@ def test_programs_end_with_what_they_started_when_a_benchmark_is_ended(tmp_path)
         family = [shell, *shell.children()]
         os.kill(parent.pid, signal.SIGTERM)
         assert parent.stdout.read() == "ends cleanly\n"
-    _, alive = psutil.wait_procs(family, timeout=60)
+    _, alive = psutil.wait_procs(family, timeout=60 * PATIENCE)
     assert not alive
 
 

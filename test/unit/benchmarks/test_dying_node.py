@@ -8,6 +8,7 @@ import subprocess
 import sys
 
 import pytest
+from waiting import PATIENCE
 
 from agreement.plans import make_plan
 from benchmarks.faults.dying_node import Death
@@ -39,7 +40,7 @@ def test_a_node_that_is_reported_dies_in_its_next_write_or_right_after_it(
     path = str(tmp_path / "r1.jsonl")
     EventLogWriter(path, header(PLAN, "run", "r1", "log1")).close()
     done = subprocess.run(
-        [sys.executable, "-c", WRITE, path, told], stdout=subprocess.PIPE, timeout=60
+        [sys.executable, "-c", WRITE, path, told], stdout=subprocess.PIPE, timeout=60 * PATIENCE
     )
     assert (done.returncode, done.stdout) == (-signal.SIGKILL, b"")
     left = read_log(path)
@@ -77,7 +78,7 @@ def test_a_node_dies_at_the_record_at_which_it_has_to(tmp_path, order, kinds) ->
     EventLogWriter(path, header(PLAN, "run", "r1", "log1")).close()
     death.order(*order)
     words = [sys.executable, "-c", ORDERED, path, str(tmp_path / "death")]
-    done = subprocess.run(words, stdout=subprocess.PIPE, timeout=60)
+    done = subprocess.run(words, stdout=subprocess.PIPE, timeout=60 * PATIENCE)
     assert (done.returncode, done.stdout) == (-signal.SIGKILL, b"")
     left = read_log(path)
     assert ([r["kind"] for r in left.records], left.cut) == (kinds, order[2])

@@ -8,6 +8,7 @@ import threading
 import time
 
 import pytest
+from waiting import PATIENCE
 
 from gspn_framework_package.ros.transport.ending import Ending
 
@@ -51,7 +52,7 @@ def test_two_signals_at_once_end_a_process_of_many_threads():
                 process.send_signal(signal.SIGINT)
                 process.send_signal(signal.SIGTERM)
             for process in processes:
-                said, _ = process.communicate(timeout=30)
+                said, _ = process.communicate(timeout=30 * PATIENCE)
                 assert (
                     str(int(signal.SIGINT)) in said.split()
                     or str(int(signal.SIGTERM)) in said.split()

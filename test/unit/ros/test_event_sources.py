@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from waiting import PATIENCE
 
 pytest.importorskip("rospy")
 pytest.importorskip("genpy")
@@ -281,12 +282,12 @@ def test_functions_watch_events_and_let_tasks_in_if_they_give_them_ids(tmp_path)
     sources = EventSources(plan, "robot_1", "/robot_1", False, host)
     sources.start()
     try:
-        found = [calls.get(timeout=20) for _ in range(2)]
+        found = [calls.get(timeout=20 * PATIENCE) for _ in range(2)]
         assert EventObserved("low", True, {"speed": 3}) in found
         assert TaskCame(Submit("order", "o1", {"pose": [3, 4]})) in found
-        assert "a task has no id" in complaints.get(timeout=20)
+        assert "a task has no id" in complaints.get(timeout=20 * PATIENCE)
         sources.visit_began()
-        assert calls.get(timeout=20) == EventObserved("low", True, {"speed": 3})
+        assert calls.get(timeout=20 * PATIENCE) == EventObserved("low", True, {"speed": 3})
     finally:
         sources.close()
 

@@ -5,6 +5,7 @@ import threading
 import traceback
 
 import pytest
+from waiting import PATIENCE
 
 pytest.importorskip("rospy")
 
@@ -58,7 +59,7 @@ def test_a_publisher_that_is_reported_of_twice_in_a_moment_is_connected_once(mon
     for thread in threads:
         thread.start()
     for _ in set(asks):  # none of them waits for another one
-        assert asked.acquire(timeout=20.0)
+        assert asked.acquire(timeout=20.0 * PATIENCE)
     answer.set()
     for thread in threads:
         thread.join(20.0)

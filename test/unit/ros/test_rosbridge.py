@@ -15,6 +15,7 @@ from pathlib import Path
 import genpy
 import pytest
 import yaml
+from waiting import PATIENCE
 
 from gspn_framework_package import msg, srv
 
@@ -81,7 +82,7 @@ def test_the_example_in_the_documents_watches_and_commands_a_robot():
         ["node", "-e", stage + example + "\nconsole.error(JSON.stringify(told));"],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=60 * PATIENCE,
     )
     assert done.returncode == 0 and "undefined" not in done.stdout, done.stderr
     _, topic, service = json.loads(done.stderr)

@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from waiting import PATIENCE
 
 from gspn_framework_package.cli.status import order_lines
 from gspn_framework_package.execution.event_log import LogFile, read_log
@@ -185,7 +186,7 @@ def test_robots_without_ros_run_a_plan_together(write, team, capfd, synchronisat
     told = team.wire.activities
     team.wait_for(lambda: [3] in [a["feedback"] for a in told], "feedback of an action")
     open_gate(plan)
-    assert {team.over.get(timeout=30) for _ in range(2)} == {"robot_1", "robot_2"}
+    assert {team.over.get(timeout=30 * PATIENCE) for _ in range(2)} == {"robot_1", "robot_2"}
     assert [host.exit_code for host in team.hosts.values()] == [0, 0]
     logs = [read_log(team.log(robot)) for robot in ("robot_1", "robot_2")]
     assert verify(logs).violation is None
@@ -213,7 +214,7 @@ def test_a_robot_answers_an_operator(write, team):
     assert team.ask("robot_2", "set_place", "robot_1", "Wait").success
     team.wait_for(lambda: team.status("robot_1")["marking"] == {"Look": 1, "Wait": 1}, "the order")
     assert team.ask("robot_1", "stop", argument="enough").success
-    assert {team.over.get(timeout=30) for _ in range(2)} == {"robot_1", "robot_2"}
+    assert {team.over.get(timeout=30 * PATIENCE) for _ in range(2)} == {"robot_1", "robot_2"}
     assert [host.exit_code for host in team.hosts.values()] == [1, 1]
 
 
@@ -239,7 +240,7 @@ def test_who_gave_an_order_is_in_every_log_and_shown(write, team):
         "ann (not authenticated) orders: retry robot_2",
     ]
     assert team.ask("robot_1", "stop").success
-    assert {team.over.get(timeout=30) for _ in range(2)} == {"robot_1", "robot_2"}
+    assert {team.over.get(timeout=30 * PATIENCE) for _ in range(2)} == {"robot_1", "robot_2"}
     logs = [read_log(team.log(robot)) for robot in ("robot_1", "robot_2")]
     assert verify(logs).violation is None
     kept = [record for record in logs[0].records if record["kind"] == "order"]
@@ -273,10 +274,10 @@ def test_a_robot_that_is_started_again_goes_on(write, team):
     team.start(plan, "robot_1", "robot_2")
     team.wait_for(lambda: team.status("robot_1")["marking"].get("Wait") == 1, "robot_1")
     team.hosts["robot_2"].stop()
-    assert team.over.get(timeout=30) == "robot_2"
+    assert team.over.get(timeout=30 * PATIENCE) == "robot_2"
     open_gate(plan)
     team.start(plan, "robot_2")
-    assert {team.over.get(timeout=30) for _ in range(2)} == {"robot_1", "robot_2"}
+    assert {team.over.get(timeout=30 * PATIENCE) for _ in range(2)} == {"robot_1", "robot_2"}
     assert [host.exit_code for host in team.hosts.values()] == [0, 0]
 
 
@@ -286,14 +287,14 @@ def test_a_robot_whose_log_was_damaged_says_so_and_goes_on(write, team, capfd, l
     team.start(plan, "robot_1", "robot_2")
     team.wait_for(lambda: team.status("robot_1")["marking"].get("Wait") == 1, "robot_1")
     team.hosts["robot_2"].stop()
-    assert team.over.get(timeout=30) == "robot_2"
+    assert team.over.get(timeout=30 * PATIENCE) == "robot_2"
     log = Path(team.log("robot_2"))
     damaged = log.read_bytes().splitlines(keepends=True)
     damaged[line - 1] = damaged[line - 1].replace(b'"', b"'", 1)
     log.write_bytes(b"".join(damaged))
     open_gate(plan)
     team.start(plan, "robot_2")
-    assert {team.over.get(timeout=30) for _ in range(2)} == {"robot_1", "robot_2"}
+    assert {team.over.get(timeout=30 * PATIENCE) for _ in range(2)} == {"robot_1", "robot_2"}
     assert [host.exit_code for host in team.hosts.values()] == [0, 0]
     said = "line %d of %s is damaged; the whole file is kept as %s.damaged" % (line, log, log)
     assert said in capfd.readouterr().err
@@ -308,13 +309,13 @@ def test_a_robot_ends_when_its_log_is_removed(write, team, capfd):
     team.start(plan, "robot_1", "robot_2")
     team.wait_for_all()
     Path(team.log("robot_2")).unlink()
-    assert team.over.get(timeout=30) == "robot_2"
+    assert team.over.get(timeout=30 * PATIENCE) == "robot_2"
     assert team.hosts["robot_2"].exit_code == 1
     text = capfd.readouterr().err
     assert "%s: was removed or replaced while" % team.log("robot_2") in text
     open_gate(plan)
     team.start(plan, "robot_2")
-    assert {team.over.get(timeout=30) for _ in range(2)} == {"robot_1", "robot_2"}
+    assert {team.over.get(timeout=30 * PATIENCE) for _ in range(2)} == {"robot_1", "robot_2"}
     assert [host.exit_code for host in team.hosts.values()] == [0, 0]
 
 

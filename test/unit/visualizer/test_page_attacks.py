@@ -11,7 +11,7 @@ import threading
 from pathlib import Path
 
 import pytest
-from waiting import wait_for
+from waiting import PATIENCE, wait_for
 
 from gspn_framework_package.visualizer import connections, serving
 from gspn_framework_package.visualizer.documents import Folder
@@ -42,7 +42,9 @@ class Attacked:
 
     def ask(self, method, path, body=None, **headers):
         """Status and JSON of a request of the page."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.server.port, timeout=30)
+        connection = http.client.HTTPConnection(
+            "127.0.0.1", self.server.port, timeout=30 * PATIENCE
+        )
         head = {
             name: value for name, value in {**self.head, **headers}.items() if value is not None
         }
@@ -229,7 +231,9 @@ def test_a_request_has_a_deadline_and_a_peer_that_does_not_read_is_cut_off(attac
 
 def test_a_net_that_is_closed_ends_its_streams_and_says_why(attacked):
     assert attacked.ask("POST", "/api/open", {"path": "net0.xml"})[0] == 200
-    connection = http.client.HTTPConnection("127.0.0.1", attacked.server.port, timeout=30)
+    connection = http.client.HTTPConnection(
+        "127.0.0.1", attacked.server.port, timeout=30 * PATIENCE
+    )
     connection.request("GET", "/api/stream?id=file-net0.xml", headers=attacked.head)
     answer = connection.getresponse()
     attacked.server.project.sessions.known("file-net0.xml").close("it was closed, to make room")

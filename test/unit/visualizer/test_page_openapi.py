@@ -10,6 +10,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 from page_client import PageClient, folder_project, small_net
+from waiting import PATIENCE
 
 from gspn_framework_package.formats import encode_net, format_named
 from gspn_framework_package.visualizer.app import create_app
@@ -201,7 +202,7 @@ def test_the_client_in_the_documents_works(served, tmp_path):
             [sys.executable, "-c", client + order.replace("pause", "step")],
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=60 * PATIENCE,
         )
         assert done.stderr == "" and done.stdout.split() == ["a", "1", "b", "0"]
         (session,) = project.sessions.all()

@@ -19,7 +19,7 @@ import psutil
 import pytest
 import waitress.trigger
 from page_client import small_net
-from waiting import wait_for
+from waiting import PATIENCE, wait_for
 
 from benchmarks.page.viewers import measure_memory
 from gspn_framework_package import visualizer
@@ -47,7 +47,7 @@ def _serve():
 
 
 def stream(server, since=None):
-    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20 * PATIENCE)
     headers = {"Last-Event-ID": since} if since else {}
     connection.request("GET", "/api/stream?id=small", headers=headers)
     return connection, connection.getresponse()
@@ -175,7 +175,7 @@ def interrupt():
 threading.Thread(target=interrupt).start()
 sys.exit(main.main(["serve", "plans/tokens", "--port", "0"]))
 """
-    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=60 * PATIENCE)
 
 
 def test_a_request_that_outlives_the_server_writes_into_no_file_of_others(serve, monkeypatch):
@@ -191,7 +191,7 @@ def test_a_request_that_outlives_the_server_writes_into_no_file_of_others(serve,
 
     monkeypatch.setattr(Session, "command", command)
     server = serve()
-    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20 * PATIENCE)
     head = {"Content-Type": "application/json", "X-Gspn-Page": "1"}
     connection.request("POST", "/api/do?id=small", '{"command": "step"}', head)
     assert under_way.wait(30)
@@ -255,7 +255,7 @@ def test_a_name_with_several_addresses_is_listened_on_at_one(serve, monkeypatch)
 
 def test_a_host_header_is_checked_on_the_wire(serve):
     server = serve()
-    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20 * PATIENCE)
     connection.request("GET", "/api/hello", headers={"Host": "evil.example"})
     assert connection.getresponse().status == 421
 
@@ -336,10 +336,10 @@ def test_serve_serves_until_it_is_interrupted():
         try:
             line = process.stdout.readline()
             port = int(line.split("127.0.0.1:")[1].split("/")[0])
-            connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+            connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20 * PATIENCE)
             connection.request("GET", "/api/hello")
             assert json.load(connection.getresponse())["first"] == "file-plan.json"
-            viewer = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+            viewer = http.client.HTTPConnection("127.0.0.1", port, timeout=20 * PATIENCE)
             viewer.request("GET", "/api/stream?id=file-plan.json")
             next_news(viewer.getresponse())
             process.send_signal(signal.SIGINT)

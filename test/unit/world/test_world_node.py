@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from waiting import PATIENCE
 
 PROGRAM = Path(__file__).parents[3] / "scripts" / "world_node"
 
@@ -32,7 +33,7 @@ def _program(tmp_path):
 
 def test_without_pybullet_the_program_says_so_and_fails(program):
     world = program()
-    said = world.communicate(timeout=60)[0]
+    said = world.communicate(timeout=60 * PATIENCE)[0]
     assert world.returncode == 1
     assert "'pybullet' is not installed" in said and said.count("\n") == 1
 
@@ -41,9 +42,11 @@ def test_an_optional_world_says_in_one_line_that_there_is_no_room_and_waits(prog
     world = program("--optional", "__name:=world")
     assert "There is no simulated room" in world.stdout.readline()
     world.send_signal(2)
-    assert world.communicate(timeout=60)[0] == "" and world.returncode == -2
+    assert world.communicate(timeout=60 * PATIENCE)[0] == "" and world.returncode == -2
 
 
 def test_a_launch_file_can_ask_whether_there_can_be_a_room(program):
-    assert program("--if-possible", "a room", "").communicate(timeout=60)[0] == ""
-    assert program("--if-possible", "true", "false").communicate(timeout=60)[0] == "false"
+    assert program("--if-possible", "a room", "").communicate(timeout=60 * PATIENCE)[0] == ""
+    assert (
+        program("--if-possible", "true", "false").communicate(timeout=60 * PATIENCE)[0] == "false"
+    )
