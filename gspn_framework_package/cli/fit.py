@@ -35,13 +35,20 @@ class Learned(NamedTuple):
     attempts: int
 
 
-def fit_options() -> Arguments:
-    """How to fit."""
+def durations_option() -> Arguments:
+    """The option for the family of the durations, of which a package may have added some."""
     return {
         choice("--durations", family_choices(), "auto"): (
             "the distribution of durations: the one that fits the times best, or a fixed one "
             "(default %(default)s)"
-        ),
+        )
+    }
+
+
+def fit_options() -> Arguments:
+    """How to fit."""
+    return {
+        **durations_option(),
         Argument("--seed", kind=numbers.seed, default=0): (
             "seed of the simulated tests (default %(default)s)"
         ),
@@ -96,10 +103,7 @@ def _print(learned: Learned, notes: Sequence[str], as_json: bool) -> None:
         report = learned.report._replace(notes=(*learned.report.notes, *notes))
         print(json.dumps(report.to_json(), indent=2, ensure_ascii=False))
         return
-    print(
-        "%d attempts in %d log%s of %d run%s"
-        % (learned.attempts, *_many(len(learned.logs)), *_many(learned.runs))
-    )
+    print(source_text(learned))
     for line in fit_table(learned.report):
         print(line)
     print_notes([*learned.report.notes, *notes])
@@ -192,6 +196,12 @@ def _from_bag(plan: Plan, path: str, number: int) -> Tuple[List[Attempt], List[s
         raise error.located(file=path) from None
     named = ["%s: %s" % (os.path.basename(path), note) for note in notes]
     return found, named, len({firing.run for firing in firings})
+
+
+def source_text(learned: Learned) -> str:
+    """What was learned from, in a few words."""
+    logs, runs = _many(len(learned.logs)), _many(learned.runs)
+    return "%d attempts in %d log%s of %d run%s" % (learned.attempts, *logs, *runs)
 
 
 def _many(count: int) -> Tuple[int, str]:

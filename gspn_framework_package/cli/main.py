@@ -143,6 +143,11 @@ VERB_GROUPS: Dict[str, Dict[str, Verb]] = {
             "learn durations, outcomes and failures from the logs of runs",
             "fit my_patrol run.jsonl -o learned.json",
         ),
+        "improve": Verb(
+            ".improve",
+            "learn from logs, compute a better policy for what was learned, and say what it gains",
+            "improve my_patrol run.jsonl --reward arrive=1 -o better.json",
+        ),
         "compare": Verb(
             ".compare",
             "compare runs with the prediction of their plan: intervals, and an alarm per place",

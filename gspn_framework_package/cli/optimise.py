@@ -9,6 +9,7 @@ from typing import List, Optional, Tuple
 
 from gspn_framework_package.analysis.decisions.aims import AIM_WIDTH, NARROWEST, AtLeast, Request
 from gspn_framework_package.analysis.decisions.optimise import SIMULATED, optimise
+from gspn_framework_package.analysis.decisions.report import Report
 from gspn_framework_package.analysis.plan.reading import READINGS, RUN
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.aims import AIM_OPTIONS, objective_of, pairs
@@ -18,6 +19,7 @@ from gspn_framework_package.cli.options import Argument, Arguments, add_options,
 from gspn_framework_package.cli.plan_output import plan_path, refuse_existing, write_plan
 from gspn_framework_package.formats.plan_file import plan_document, read_plan
 from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.plan import Plan
 
 _OPTIONS: Arguments = {
     Argument("plan", "PLAN"): "a plan file, or a folder with a plan.json",
@@ -71,13 +73,18 @@ _READING: Arguments = {
 }
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of this verb."""
-    add_options(parser, _OPTIONS)
+def add_request_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of a request, ``--simulate`` and ``--seed``."""
     add_options(parser.add_argument_group("the aim"), AIM_OPTIONS)
     add_options(parser.add_argument_group("constraints"), _CONSTRAINTS)
     add_options(parser.add_argument_group("how to interpret the plan"), _READING)
     add_options(parser.add_argument_group("limits"), LIMIT_OPTIONS)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of this verb."""
+    add_options(parser, _OPTIONS)
+    add_request_arguments(parser)
     parser.epilog = (
         "Exit codes: 0 there is an answer, 1 there is none (the constraints cannot be met, or a "
         "limit was reached), or a later step failed, such as the simulation, 2 not a plan, or "
@@ -97,19 +104,7 @@ def run(args: argparse.Namespace) -> int:
         path = plan_path(args.output)
         if not args.force:
             refuse_existing(path, "give the name of a new file, or --force")
-    report = working_on(
-        args.on,
-        lambda progress, cancel, executor: optimise(
-            plan,
-            request,
-            simulated=args.simulate,
-            seed=args.seed,
-            progress=progress,
-            cancel=cancel,
-            on=executor,
-        ),
-        request.limits.memory,
-    )
+    report = compute(plan, request, args)
     notes: List[str] = []
     try:
         if path is not None:
@@ -122,6 +117,23 @@ def run(args: argparse.Namespace) -> int:
             print("\n".join(report.lines()))
             print_notes(notes)
     return max((failure.exit_code for failure in report.failures), default=0)
+
+
+def compute(plan: Plan, request: Request, args: argparse.Namespace) -> Report:
+    """The best policy, with a progress line; an interrupt ends it."""
+    return working_on(
+        args.on,
+        lambda progress, cancel, executor: optimise(
+            plan,
+            request,
+            simulated=args.simulate,
+            seed=args.seed,
+            progress=progress,
+            cancel=cancel,
+            on=executor,
+        ),
+        request.limits.memory,
+    )
 
 
 def request_in_arguments(args: argparse.Namespace, robots: int) -> Request:

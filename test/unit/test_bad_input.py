@@ -24,6 +24,7 @@ VERBS = {
     "compare": ["compare", PATROL, "X"],
     "verify": ["verify", "X"],
     "fit": ["fit", PATROL, "X", "-o", "out.json"],
+    "improve": ["improve", PATROL, "X", "--reach", "deadlock", "-o", "out.json"],
     "optimise": ["optimise", "X", "--reach", "deadlock"],
     "build": ["build", "X", "-o", "built"],
     "film": ["film", "out.mp4", "--recording", "X"],
