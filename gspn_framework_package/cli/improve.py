@@ -18,7 +18,7 @@ from gspn_framework_package.cli.limits import ON_OPTION
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.optimise import (
     add_request_arguments,
-    compute,
+    optimised,
     request_in_arguments,
 )
 from gspn_framework_package.cli.options import Argument, Arguments, add_options
@@ -132,7 +132,7 @@ def run(args: argparse.Namespace) -> int:
     fitted = learned.report.apply(plan, learned.logs)
     with ProgressLine() as progress:
         comparison = compare_logs(fitted, args.logs, seed=args.seed, progress=progress)
-    report = compute(fitted, request, args)
+    report = optimised(fitted, request, args)
     with ProgressLine() as progress:
         before = check(fitted, progress=progress).items
         after = check(report.plan, progress=progress)

@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
         path = plan_path(args.output)
         if not args.force:
             refuse_existing(path, "give the name of a new file, or --force")
-    report = compute(plan, request, args)
+    report = optimised(plan, request, args)
     notes: List[str] = []
     try:
         if path is not None:
@@ -119,7 +119,7 @@ def run(args: argparse.Namespace) -> int:
     return max((failure.exit_code for failure in report.failures), default=0)
 
 
-def compute(plan: Plan, request: Request, args: argparse.Namespace) -> Report:
+def optimised(plan: Plan, request: Request, args: argparse.Namespace) -> Report:
     """The best policy, with a progress line; an interrupt ends it."""
     return working_on(
         args.on,
