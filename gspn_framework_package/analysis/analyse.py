@@ -478,9 +478,9 @@ class Analysis:
 
         :raises ExpressionError: it cannot be parsed, or names an unknown place.
         """
-        if self._looks_at_counters(condition):
+        if self.plan is None and self._looks_at_counters(condition):
             return self._search(condition)
-        space = self.space
+        space = self.space if self.plan is None else self.until(condition)
         found = np.flatnonzero(space.holds(condition))
         if len(found):
             number = space.count(space.distinct(found))

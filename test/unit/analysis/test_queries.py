@@ -19,9 +19,12 @@ from gspn_framework_package.analysis.queries.answers import answer_query
 from gspn_framework_package.analysis.queries.grammar import parse_query
 from gspn_framework_package.analysis.queries.states import StateSets
 from gspn_framework_package.cli.main import main
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.errors import ExpressionError, RefusedError, UsageError
+from gspn_framework_package.model.plan import Plan, RobotSpec
+from gspn_framework_package.model.policy import Policy, PolicyRow
 
 EXAMPLES = int(os.environ.get("GSPN_QUERY_EXAMPLES", "40"))
 relaxed = settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
@@ -271,6 +274,28 @@ def test_probabilities_of_a_counter_that_grows():
     assert low <= 0.75**2 <= high and high - low < 1e-12
     timed = answer_query(Analysis(machine()), "P=? [ F<=2 done = 1 ]")
     assert timed.interval[0] <= 1 - math.exp(-2) <= timed.interval[1]
+
+
+def test_the_policy_decides_which_counter_grows():
+    builder = NetBuilder("counters").place("a", tokens=1).place("d").place("left").place("right")
+    builder.exponential("work", inputs="a", outputs="d")
+    builder.immediate("l", inputs="d", outputs=["a", "left"])
+    builder.immediate("r", inputs="d", outputs=["a", "right"])
+    plan = Plan(
+        net=builder.build(),
+        resource_places=frozenset(["left", "right"]),
+        robots=(RobotSpec("robot", "a"),),
+        actions={"a": FunctionAction("actions.work", "work"), "d": None},
+        policy=Policy([], [PolicyRow((), (("l", 1.0),))]),
+    )
+    analysis = Analysis(plan)
+    assert analysis.left_out == ("left", "right")
+    assert answer_query(analysis, "P=? [ F right >= 1 ]").value == 0
+    assert answer_query(analysis, "EF right >= 1").holds is False
+    assert answer_query(analysis, "EF left >= 3").holds is True
+    assert analysis.reach("right >= 1").reachable is False
+    found = analysis.reach("left >= 2")
+    assert [step.transition for step in found.witness] == ["work", "l", "work", "l"]
 
 
 def test_a_proof_needs_no_markings():
