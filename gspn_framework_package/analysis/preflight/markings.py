@@ -40,8 +40,10 @@ _PROOFS = {"dead_markings": DEAD, "policy": NO_ROW}
 
 DEAD_MARKING = "dead marking: nothing can happen"
 
-MARKINGS_BEFORE_PROOFS = 20_000
-"""Number of markings after which proofs are tried before more are visited."""
+COUNTS_BEFORE_PROOFS = 30_000_000
+"""Number of counts (markings times places) after which proofs are tried before more markings are
+visited. A plan of at most 150 places has its 200,000 markings visited first: they also show which
+transitions never fire, and who can wait for ever."""
 
 TREE_NODES = 5_000
 """Largest number of nodes of the coverability tree that shows which places grow."""
@@ -76,7 +78,9 @@ class MarkingChecks:
     def look_at_markings(self) -> PlanMarkings:
         """Visit markings, answer the open questions, and return the markings."""
         losses = self._robots_can_be_lost()
-        markings = self._visit(False, min(self.limit, MARKINGS_BEFORE_PROOFS))
+        markings = self._visit(
+            False, min(self.limit, COUNTS_BEFORE_PROOFS // max(len(self.net.places), 1))
+        )
         if (
             not markings.complete
             and len(markings.space) < self.limit
