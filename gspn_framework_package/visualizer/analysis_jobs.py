@@ -289,7 +289,8 @@ def worker_environment() -> Dict[str, str]:
     """Make the worker import the same package that this process runs."""
     root = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
     paths = [root] + [p for p in os.environ.get("PYTHONPATH", "").split(os.pathsep) if p]
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+    single = {"OPENBLAS_NUM_THREADS": "1"}  # as in cli.main
+    return {**single, **os.environ, "PYTHONPATH": os.pathsep.join(paths)}
 
 
 def _bounded(fields: Dict[str, Any], key: str, default: float, low: float, high: float) -> float:
