@@ -173,6 +173,7 @@ class _Subject:
         at_most: Texts = (),
         returns: Texts = (),
         ends: bool = False,
+        moves: bool = False,
         seconds: float = 10.0,
         limit: int = 200_000,
     ) -> results.ProofResult:
@@ -186,6 +187,7 @@ class _Subject:
         :param at_most: patterns of names with the most tokens, such as ``"At_*=2"``.
         :param returns: conditions that can be reached from every marking.
         :param ends: whether a plan can end from every marking.
+        :param moves: whether every robot that is not at an end can move again, from every marking.
         :param seconds: time for each question (s).
         :param limit: the most markings to visit for each.
         :raises InputError: a condition cannot be read, or a name is not in the net.
@@ -206,7 +208,10 @@ class _Subject:
             at_most=_texts(at_most),
             returns=_texts(returns),
             ends=ends,
-            general=not (never or always or apart or never_fires or at_most or returns or ends),
+            moves=moves,
+            general=not any(
+                (never, always, apart, never_fires, at_most, returns, ends, moves),
+            ),
         )
         with _progress() as progress:
             answers = decide_all(

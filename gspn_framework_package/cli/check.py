@@ -42,6 +42,10 @@ _QUESTIONS: Arguments = {
         "decide whether a plan can end from every marking: all robots in places without outputs, "
         "or its 'until' holds"
     ),
+    "--moves": (
+        "decide whether every robot of a plan that is not at an end can move again, from every "
+        "marking: none waits for ever"
+    ),
     Argument("--certificate", "FILE"): (
         "decide also whether a dead marking, or one that needs a policy row and has none, can be "
         "reached, and write the proofs of all that is proven; 'gspn verify FILE' checks them"
@@ -89,7 +93,16 @@ def _asks_more(args: argparse.Namespace) -> bool:
     """Whether something is asked about all markings."""
     return any(
         getattr(args, name)
-        for name in ("never", "always", "apart", "at_most", "never_fires", "returns", "ends")
+        for name in (
+            "never",
+            "always",
+            "apart",
+            "at_most",
+            "never_fires",
+            "returns",
+            "ends",
+            "moves",
+        )
     )
 
 

@@ -31,6 +31,7 @@ def asked(args: argparse.Namespace, subject: Union[Net, Plan]) -> List[MarkingQu
         never_fires=args.never_fires,
         returns=args.returns,
         ends=args.ends,
+        moves=args.moves,
         general=bool(args.certificate),
     )
 
@@ -45,6 +46,7 @@ def questions_about(
     never_fires: Iterable[str] = (),
     returns: Iterable[str] = (),
     ends: bool = False,
+    moves: bool = False,
     general: bool = False,
 ) -> List[MarkingQuestion]:
     """Questions about all markings of a net or plan.
@@ -55,7 +57,8 @@ def questions_about(
     :param at_most: patterns of such names, each with the most tokens (``At_*=2``).
     :param never_fires: transitions that are never to fire.
     :param returns: conditions that can be reached from every marking.
-    :param ends: also ask whether all robots can reach an end place from every marking.
+    :param ends: also ask whether a plan can end from every marking.
+    :param moves: also ask whether every robot can move again from every marking.
     :param general: also ask for dead markings and, of a plan, for markings without a policy row.
     :raises GspnError: one names what does not exist, or cannot be read.
     """
@@ -69,9 +72,10 @@ def questions_about(
         *(MarkingQuestion(questions.FIRES, name) for name in never_fires),
         *(MarkingQuestion(questions.RETURNS, text) for text in returns),
         *([MarkingQuestion(questions.CAN_END)] if ends else []),
+        *([MarkingQuestion(questions.CAN_MOVE)] if moves else []),
     ]
     for question in found:
-        if question.about or question.kind == questions.CAN_END:
+        if question.about or question.kind in (questions.CAN_END, questions.CAN_MOVE):
             with contextlib.suppress(LimitError):  # the answer will say it
                 problem_of(subject, question)
     return found

@@ -34,6 +34,7 @@ from gspn_framework_package.analysis.proofs.checker import (
 from gspn_framework_package.analysis.proofs.prover import Candidate, Prover
 from gspn_framework_package.analysis.proofs.questions import (
     CAN_END,
+    CAN_MOVE,
     RETURNS,
     MarkingQuestion,
     problem_of,
@@ -233,7 +234,11 @@ class _Ladder:
 
     def _search(self, candidate: Candidate) -> Optional[Answer]:
         watch = self._watch()
-        if self._question.kind in (RETURNS, CAN_END):  # what nothing leads away from may be no case
+        if self._question.kind in (
+            RETURNS,
+            CAN_END,
+            CAN_MOVE,
+        ):  # what nothing leads away from may be no case
             watch = watch.half()
         sequence = realise(self._problem, candidate, watch)
         if sequence is not None:

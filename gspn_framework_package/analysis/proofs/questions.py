@@ -52,9 +52,9 @@ from gspn_framework_package.model.policy import PolicyRow, PolicyTable
 
 DEAD, NEVER, ALWAYS, APART, FIRES, NO_ROW = "dead", "never", "always", "apart", "fires", "no_row"
 
-AT_MOST, RETURNS, CAN_END = "at_most", "returns", "ends"
+AT_MOST, RETURNS, CAN_END, CAN_MOVE = "at_most", "returns", "ends", "moves"
 
-QUESTION_KINDS = (DEAD, NEVER, ALWAYS, APART, AT_MOST, FIRES, NO_ROW, RETURNS, CAN_END)
+QUESTION_KINDS = (DEAD, NEVER, ALWAYS, APART, AT_MOST, FIRES, NO_ROW, RETURNS, CAN_END, CAN_MOVE)
 
 _STATEMENTS = {
     DEAD: "no dead marking can be reached",
@@ -65,6 +65,7 @@ _STATEMENTS = {
     AT_MOST: "never more tokens than %s",
     FIRES: "%s never fires",
     RETURNS: "%s can be reached from every marking",
+    CAN_MOVE: "every robot that is not at an end can move again, from every marking",
     CAN_END: "the end of the run, or of all robots, can be reached from every marking",
 }
 
@@ -81,7 +82,7 @@ class MarkingQuestion(NamedTuple):
         those in which a transition ``fires``, those in which a robot needs a decision, and neither
         a row of the policy matches nor can only one transition fire (``no_row``), and those from
         which a condition cannot be reached (``returns``), or that all robots are in places where a
-        plan ends (``ends``).
+        plan ends (``ends``), or that a robot leaves its place (``moves``).
     :ivar about: the condition, the transition, a pattern (``At_*``) of the names of places, or a
         pattern and a number (``At_*=2``).
     :ivar losses: whether robots of a plan can be lost.
@@ -112,7 +113,7 @@ def problem_of(subject: Union[Net, Plan], question: MarkingQuestion) -> Problem:
         question = question._replace(kind=NEVER, about="not (%s)" % question.about)
     if isinstance(subject, Plan):
         return _OfPlan(subject, question).problem()
-    if question.kind in (NO_ROW, CAN_END) or question.losses:
+    if question.kind in (NO_ROW, CAN_END, CAN_MOVE) or question.losses:
         raise UsageError("a net has no policy, and no robots that end or can be lost")
     return _of_net(subject, question)
 
@@ -237,6 +238,8 @@ class _OfPlan:
         elif kind in (APART, AT_MOST):
             facts = _too_many_in_one(net, self._question)
             is_bad = partial(fulfils, facts[0])
+        elif kind == CAN_MOVE:
+            facts, is_bad = self._some_never_move()
         elif kind in (RETURNS, CAN_END):
             facts, holds = self._never_back()
             is_bad = never_returns(net, facts, holds, self.fires)
@@ -340,6 +343,31 @@ class _OfPlan:
         ends = {self._plan.net.places[p].name for p in terminal_places(self._plan)}
         busy = sorted(p for p in self._robots if self._net.places[p].name not in ends)
         return Atom(tuple((p, 1) for p in busy), 1)
+
+    def _some_never_move(self) -> Tuple[Tuple[Formula, ...], Callable[[Marking], bool]]:
+        """A robot cannot leave its place now, and whether it cannot from then on."""
+        over = self._not_over()
+        ends = terminal_places(self._plan)
+        stuck: List[Formula] = []
+        tests: List[Callable[[Marking], bool]] = []
+        for p in sorted(self._robots):
+            if self._original[p] in ends:
+                continue
+            exits = frozenset(t for t in self._net.consumers[p] if t < self._own)
+            facts: List[Formula] = [Atom(((p, 1),), 1)]
+            facts += [_disabled(self._net, t) for t in sorted(exits) if not self._asking(t)]
+            facts += self._policy_moves_nobody(p, exits)
+            stuck.append(All(tuple(facts)))
+            leaves = partial(self._some_fire, exits)
+            tests.append(never_returns(self._net, (*over, *facts), leaves, self.fires))
+
+        def is_bad(marking: Marking) -> bool:
+            return any(test(marking) for test in tests) and not self._is_over(marking)
+
+        return (*over, Some(tuple(stuck))), is_bad
+
+    def _some_fire(self, transitions: Collection[int], marking: Marking) -> bool:
+        return any(t in transitions for t in self.fires(marking))
 
     def _nothing_fires(self, transitions: Collection[int]) -> Iterator[Formula]:
         """None of the transitions can fire, also not by the policy's choice."""

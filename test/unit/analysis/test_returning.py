@@ -29,6 +29,7 @@ from gspn_framework_package.analysis.proofs.prover import solver_available
 from gspn_framework_package.analysis.proofs.questions import (
     AT_MOST,
     CAN_END,
+    CAN_MOVE,
     RETURNS,
     MarkingQuestion,
     problem_of,
@@ -62,6 +63,8 @@ def questions_about(subject, seed):
         yield MarkingQuestion(AT_MOST, "%s=%d" % (draw.choice(names), draw.randint(0, 2)), losses)
         if subject is not net and (subject.until or terminal_places(subject)):
             yield MarkingQuestion(CAN_END, losses=losses)
+        if subject is not net:
+            yield MarkingQuestion(CAN_MOVE, losses=losses)
 
 
 def holds_everywhere(subject, question):
@@ -86,6 +89,10 @@ def holds_everywhere(subject, question):
     if question.kind == AT_MOST:
         place, _, most = question.about.partition("=")
         return not (space.holds("%s > %s" % (place, most)) & markings.reached).any()
+    arcs = markings.possible
+    sources, targets = space.sources[arcs], space.targets[arcs]
+    if question.kind == CAN_MOVE:
+        return all(can_leave(subject, markings, p, sources, targets) for p in robots_of(markings))
     if question.kind == CAN_END:
         ends = {subject.net.places[p].name for p in terminal_places(subject)}
         good = np.ones(len(space), dtype=bool)
@@ -96,9 +103,27 @@ def holds_everywhere(subject, question):
             good |= space.holds(subject.until)
     else:
         good = space.holds(question.about)
-    arcs = markings.possible
-    back = can_reach(len(space), space.sources[arcs], space.targets[arcs], good)
+    back = can_reach(len(space), sources, targets, good)
     return bool((back | ~markings.reached).all())
+
+
+def robots_of(markings):
+    places = markings.net.places
+    ends = {markings.plan.net.places[p].name for p in terminal_places(markings.plan)}
+    outside = ends | set(markings.plan.resource_places)
+    return [p for p, place in enumerate(places) if place.name not in outside]
+
+
+def can_leave(plan, markings, p, sources, targets):
+    """Whether a robot in a place can leave it, whatever happened before."""
+    space = markings.space
+    own = len(plan.net.transitions)
+    exits = [t for t in markings.net.consumers[p] if t < own]
+    good = np.zeros(len(space), dtype=bool)
+    good[sources[np.isin(space.transitions[markings.possible], exits)]] = True
+    over = space.holds(plan.until) if plan.until else np.zeros(len(space), dtype=bool)
+    back = can_reach(len(space), sources, targets, good)
+    return bool((back | over | (space.column(p) == 0) | ~markings.reached).all())
 
 
 @pytest.mark.parametrize("limit", [1, 2_000])
@@ -190,6 +215,9 @@ def test_the_end_is_reached_from_everywhere_or_not():
     assert answer.verdict == PROVEN and answer.decided_by in ("structure", "state equation")
     answer = decide_question(ending(3, True), question)
     assert answer.verdict == VIOLATED and "stray" in answer.sequence
+    assert decide_question(ending(200, False), MarkingQuestion(CAN_MOVE), limit=0).verdict == PROVEN
+    answer = decide_question(ending(3, True), MarkingQuestion(CAN_MOVE))
+    assert answer.verdict == VIOLATED and answer.marking["b"] >= 1
     cycle = Plan(
         net=switches(1).build(),
         robots=(RobotSpec("r", "on0"),),
