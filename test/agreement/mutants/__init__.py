@@ -14,6 +14,7 @@ from agreement.mutants import (
     deployment,
     host,
     memory,
+    mended,
     outage,
     protocol,
     reactions,
@@ -37,6 +38,7 @@ MUTANTS: List[Mutant] = [
     *reactions.MUTANTS,
     *deployment.MUTANTS,
     *survivors.MUTANTS,
+    *mended.MUTANTS,
     *checks.MUTANTS,
 ]
 """All of them, by the part of the program that they are in."""

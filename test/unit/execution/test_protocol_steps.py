@@ -294,11 +294,42 @@ def test_who_joins_counts_for_the_quorum_with_which_it_is_let_in() -> None:
     assert world.replica("r1").members() == ["r1", "r2", "j1"]
 
 
+def test_a_join_of_a_lost_log_keeps_no_later_one_out() -> None:
+    replica = Quiet(3).replica("r1")
+    replica.state.peers.hear("j1", replica.state.now).log = "here"
+    lost, here = (
+        Item(log_entries.Join("j1", number, "p1", log), Origin("j1", number, 1, log))
+        for number, log in enumerate(("lost", "here"))
+    )
+    assert replica.electorate.without_ghosts([lost, here]) == [here]
+
+
+def test_a_witness_that_lost_its_log_comes_back() -> None:
+    world = World(make_plan(TOKENS, 2, False, 0.0, 0.0, True), 1)
+    for node in world.nodes.values():
+        node.start()
+    world.run(0.6)
+    (witness,) = (world.nodes[name] for name in world.plan.witness)
+    witness.crash()
+    witness.lose_log()
+    witness.start()
+    world.run(world.now + 2)
+    assert witness.replica is not None and witness.replica.may_vote()
+
+
 def test_a_log_that_ends_before_an_eviction_by_force_was_not_given_up() -> None:
     gives_up = Quiet(3).replica("r1").membership._is_given_up
     assert not gives_up("r3", {}, 5, {"r3": 5})
     assert gives_up("r3", {}, 6, {"r3": 5})
     assert not gives_up("r1", {"r3": 5}, 9, {"r3": 5})  # both hold the same eviction
+
+
+def test_of_two_logs_with_evictions_by_force_the_one_with_fewer_is_kept() -> None:
+    """Both evict r3; the one that does so later counts that eviction as well."""
+    gives_up = Quiet(3).replica("r1").membership._is_given_up
+    one, other = {"r2": 5, "r3": 6}, {"r1": 4, "r3": 3}
+    assert gives_up("r1", one, 9, other)
+    assert not gives_up("r2", other, 9, one)
 
 
 def test_a_robot_that_left_does_not_wait_for_ever_to_be_heard() -> None:
