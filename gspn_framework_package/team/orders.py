@@ -133,10 +133,12 @@ class OrderKind(NamedTuple):
 
     def argument(self, values: Mapping[str, Any]) -> str:
         """What travels in the ``argument`` of a request: a text as it is, other values as JSON,
-        several as a JSON object."""
+        several as a JSON object, without empty texts and zeros that need not be given."""
         inside = self._inside
         if len(inside) != 1:
-            return compact({f.name: values[f.name] for f in inside}) if inside else ""
+            left_out = [f.name for f in inside if not f.required and values[f.name] in ("", 0)]
+            given = {f.name: values[f.name] for f in inside if f.name not in left_out}
+            return compact(given) if inside else ""
         value = values[inside[0].name]
         if inside[0].kind is FieldKind.FLAG:
             return inside[0].name if value else ""
@@ -325,7 +327,7 @@ ORDERS: Dict[str, OrderKind] = {
             ),
             OrderField(
                 "replace",
-                FieldKind.ID,
+                FieldKind.TEXT,
                 "id of a task that is cancelled if the team takes this one in its place",
                 required=False,
                 label="Replaces the task",
@@ -391,6 +393,7 @@ ORDERS: Dict[str, OrderKind] = {
         (TASK_FIELD,),
         lambda id: log_entries.CancelTask(log_entries.task_id(id)),
         example="o12",
+        noun="task",
         note="The action of a robot that has the task is cancelled, and the plan says what the "
         "robot does then (tasks.on_cancel).",
         form=Form(
@@ -409,6 +412,7 @@ ORDERS: Dict[str, OrderKind] = {
         (TASK_FIELD,),
         lambda id: log_entries.GiveBack(log_entries.task_id(id)),
         example="o12",
+        noun="task",
         note="The plan says which queue it is (on_evict, for the place of the robot), and what the "
         "robot does then (tasks.on_cancel).",
         form=Form(
@@ -436,7 +440,7 @@ ORDERS: Dict[str, OrderKind] = {
         ),
         lambda id, priority: log_entries.make_prioritise(id, priority),
         example="o12 5",
-        noun="priority of a task",
+        noun="task",
         like='{"id": "o12", "priority": 5}',
         form=Form(
             "task",

@@ -27,7 +27,7 @@ from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.policy import Policy
 from gspn_framework_package.team.order_fields import seconds_of
-from gspn_framework_package.team.orders import ORDERS
+from gspn_framework_package.team.orders import ORDERS, SUBMITTED
 
 
 def net_with_way_out() -> Net:
@@ -422,9 +422,24 @@ def test_times_are_read() -> None:
             seconds_of(text, now)
 
 
+def test_what_is_not_given_does_not_travel() -> None:
+    kind = ORDERS["submit"]
+    values = kind.values({"transition": "order", "id": "o1", "priority": 2}, SUBMITTED)
+    argument = kind.argument(values)
+    assert json.loads(argument) == {"transition": "order", "id": "o1", "data": {}, "priority": 2}
+    assert kind.read("", argument, "r1") == values
+    assert [ORDERS["pause"].argument({"robot": "", "stop": stop}) for stop in (False, True)] == [
+        "",
+        "stop",
+    ]
+    assert ORDERS["pause"].read("", "stop", "r1") == {"robot": "", "stop": True}
+    with pytest.raises(DataError, match="'stop' is not true or false"):
+        ORDERS["pause"].read("", "slowly", "r1")
+
+
 def test_the_command_of_a_task_has_all_fields() -> None:
     kind = ORDERS["submit"]
-    order = {"transition": "order", "id": 7, "until": 1000, "replace": 6, "at": 5, "every": "2m"}
+    order = {"transition": "order", "id": 7, "until": 1000, "replace": "6", "at": 5, "every": "2m"}
     argument = json.dumps(order)
     given = kind.entry(**kind.read("", argument, "r1"))
     assert given == log_entries.Submit("order", "7", {}, until=1000, replaces="6", at=5, every=120)
@@ -432,4 +447,4 @@ def test_the_command_of_a_task_has_all_fields() -> None:
     with pytest.raises(DataError, match="needs the time of its first one"):
         kind.entry(**kind.read("", argument.replace('"at": 5', '"at": 0'), "r1"))
     with pytest.raises(DataError, match="cannot replace itself"):
-        kind.entry(**kind.read("", argument.replace('"replace": 6', '"replace": 7'), "r1"))
+        kind.entry(**kind.read("", argument.replace('"replace": "6"', '"replace": "7"'), "r1"))
