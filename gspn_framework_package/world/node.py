@@ -10,7 +10,8 @@ world time, 0 for no limit),
 ``record`` (file to record the run in, for ``gspn film``), ``navigation`` and ``localisation``
 (true, or false: ``move_base``, or ``amcl_pose`` and where the odometry is in the map, come from
 nodes of the user), ``scan_noise`` (metres), ``odom_drift`` (a part of a wheel's circumference),
-``clock_rate`` (100).
+``clock_rate`` (messages on ``/clock`` in a second of world time; 0 for 100 up to real time and 30
+beyond).
 """
 
 from __future__ import annotations
@@ -52,7 +53,8 @@ PAUSED_PERIOD = 0.01
 """Seconds of wall time between two looks for orders while the world is paused."""
 
 CLOCK_RATE = 100.0
-"""Messages on ``/clock`` in a second, unless it is asked for another rate."""
+"""Messages on ``/clock`` in a second, unless the world is faster than real time: each takes time of
+every node."""
 
 
 class WorldNode:
@@ -64,8 +66,8 @@ class WorldNode:
     :param real_time_factor: seconds of world time per second of wall time; 0 for as fast as
         possible.
     :param gui: open PyBullet's window.
-    :param clock_rate: messages on ``/clock`` in a second of world time. A world that is faster than
-        real time sends fewer, but one before all others of a step.
+    :param clock_rate: messages on ``/clock`` in a second of world time, beside those that come
+        before the messages of the robots; 0 for :data:`CLOCK_RATE`, or none faster than real time.
     """
 
     def __init__(
@@ -75,10 +77,10 @@ class WorldNode:
         sensing: Sensing,
         real_time_factor: float = 1.0,
         gui: bool = False,
-        clock_rate: float = CLOCK_RATE,
+        clock_rate: float = 0.0,
     ) -> None:
         self._factor = real_time_factor
-        self._clock_rate = clock_rate
+        self._clock_rate = clock_rate or (CLOCK_RATE if 0.0 < real_time_factor <= 1.0 else 0.0)
         self.team = DrivingTeam(room, robots, gui=gui, seed=sensing.seed, drift=sensing.odom_drift)
         self.referee = Referee(self.team)
         self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
@@ -112,7 +114,7 @@ class WorldNode:
         self.recorder: Optional[Recorder] = None
         self._steps = 0
         self._due = time.monotonic()
-        self._clock_number, self._clock_time = -1, 0.0
+        self._clock_number = -1
         self._reported = 0.0
         self._state_time = 0.0
         self.real_time_factor = 0.0
@@ -192,10 +194,11 @@ class WorldNode:
         self._publish_clock(stamp, speaks)
         if not speaks:
             return
-        transforms: List[Any] = []
         for robot in self._robots:
-            transforms += robot.publish(stamp, self._steps)
-        self._tf.publish(TFMessage(transforms))
+            robot.publish(stamp, self._steps)
+        if self._tf.get_num_connections():
+            frames = [frame for robot in self._robots for frame in robot.moving_frames(stamp)]
+            self._tf.publish(TFMessage(frames))
         self._run_orders()
 
     def _wait(self) -> None:
@@ -210,10 +213,9 @@ class WorldNode:
             self._due = wall
 
     def _publish_clock(self, stamp: rospy.Time, needed: bool) -> None:
-        number, wall = int(self.team.time * self._clock_rate), time.monotonic()
-        often = wall - self._clock_time < 0.5 / CLOCK_RATE
-        if needed or number != self._clock_number and not often:
-            self._clock_number, self._clock_time = number, wall
+        number = int(self.team.time * self._clock_rate)
+        if needed or number != self._clock_number:
+            self._clock_number = number
             self._clock.publish(Clock(stamp))
 
     def _report_people(self) -> None:
@@ -303,7 +305,7 @@ def main() -> int:
         )
         gui, clock_rate = (
             bool(rospy.get_param("~gui", False)),
-            number_parameter("clock_rate", CLOCK_RATE),
+            number_parameter("clock_rate", 0.0),
         )
         node = WorldNode(room, robots, sensing, factor, gui, clock_rate)
         speed = "%g times real time" % factor if factor else "as fast as possible"

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional
 
 import numpy as np
 import rospy
@@ -72,7 +72,7 @@ class RobotTopics:
         self._joints = self._publisher("joint_states", JointState)
         self._temperature = self._publisher("temperature", Temperature)
         self._scan = self._publisher("scan", LaserScan)
-        self._velocity: Tuple[float, float] = (0.0, 0.0)
+        self._velocity = (-1.0, 0.0, 0.0)  # and the time
         self._pose: Any = None
         if sensing.localisation:
             self._pose = self._publisher("amcl_pose", PoseWithCovarianceStamped, latch=True)
@@ -116,21 +116,32 @@ class RobotTopics:
     def _frame(self, name: str) -> str:
         return "%s/%s" % (self.name, name)
 
-    def publish(self, stamp: rospy.Time, step: int) -> List[Any]:
-        """Publish what the robot measures; return the transforms of its moving frames.
+    def moving_frames(self, stamp: rospy.Time) -> List[Any]:
+        """Where the robot is in its odometry and, with localisation, where that is in the map."""
+        physics, name = self._team.physics, self.name
+        odometry = physics.odometry(name)[0]
+        odom, base = self._frame("odom"), self._frame("base_footprint")
+        transforms = [messages.transform(odometry, stamp, odom, base)]
+        if self._pose is not None:
+            moved = messages.correction(physics.pose(name), odometry)
+            transforms.append(messages.transform(moved, stamp, MAP_FRAME, odom))
+        return transforms
+
+    def publish(self, stamp: rospy.Time, step: int) -> None:
+        """Publish what the robot measures.
 
         :param step: number of the physics step, a multiple of :data:`MESSAGE_STEPS`.
         """
         physics, name = self._team.physics, self.name
-        pose, odometry = physics.pose(name), physics.odometry(name)
-        odom, base = self._frame("odom"), self._frame("base_footprint")
+        base = self._frame("base_footprint")
         if self._odometry.get_num_connections():
+            odometry, odom = physics.odometry(name), self._frame("odom")
             self._odometry.publish(messages.odometry_message(odometry, stamp, odom, base))
         if self._joints.get_num_connections():
             wheels = physics.wheels(name)
             self._joints.publish(messages.joint_message(WHEEL_JOINTS, wheels, stamp))
         if self._imu.get_num_connections():
-            self._publish_imu(pose, stamp)
+            self._publish_imu(stamp)
         dark = self._team.faults.has("lidar", name)
         if step % SCAN_STEPS == 0 and self._scan.get_num_connections() and not dark:
             ranges = self._noisy(physics.scan(name), step)
@@ -140,20 +151,18 @@ class RobotTopics:
             self._temperature.publish(
                 messages.temperature_message(physics.temperature(name), stamp, base)
             )
-        transforms = [messages.transform(odometry[0], stamp, odom, base)]
-        if self._pose is not None:
-            if step % CONTROL_STEPS == 0:
-                self._pose.publish(messages.stamped_pose(pose, stamp, MAP_FRAME))
-            moved = messages.correction(pose, odometry[0])
-            transforms.append(messages.transform(moved, stamp, MAP_FRAME, odom))
-        return transforms
+            if self._pose is not None:
+                pose = messages.stamped_pose(physics.pose(name), stamp, MAP_FRAME)
+                self._pose.publish(pose)
 
-    def _publish_imu(self, pose: Pose, stamp: rospy.Time) -> None:
+    def _publish_imu(self, stamp: rospy.Time) -> None:
         """Publish the turn rate, and the mean acceleration since the last message."""
+        pose = self._team.physics.pose(self.name)
         x, y, turn_rate = self._team.physics.velocity(self.name)
-        seconds = MESSAGE_STEPS * TIME_STEP
-        ax, ay = (x - self._velocity[0]) / seconds, (y - self._velocity[1]) / seconds
-        self._velocity = (x, y)
+        (time, x_before, y_before), self._velocity = self._velocity, (self._team.time, x, y)
+        seconds, ax, ay = self._team.time - time, 0.0, 0.0
+        if 0.0 < seconds < 1.5 * MESSAGE_STEPS * TIME_STEP:  # else nobody has listened since then
+            ax, ay = (x - x_before) / seconds, (y - y_before) / seconds
         cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
         acceleration = Vector3(ax * cos + ay * sin, ay * cos - ax * sin, _GRAVITY)
         self._imu.publish(
