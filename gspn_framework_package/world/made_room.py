@@ -72,9 +72,13 @@ def room_text(
     :param source: the file that describes the bodies; the room is named after it.
     :param robots: how many robots start; None for up to four.
     :param model: the type of the robots.
-    :raises InputError: there are too many bodies, the room is too large, or so many robots do not
-        fit.
+    :raises InputError: there are no bodies or too many, the room is too large, or so many robots
+        do not fit.
     """
+    if not solids:
+        raise InputError(
+            "nothing solid is in it", file=source, hint="a room ends at its outermost bodies"
+        )
     if len(solids) > MOST_SOLIDS:
         raise InputError(
             "it has %d separate solid parts" % len(solids),

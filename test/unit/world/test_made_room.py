@@ -298,6 +298,7 @@ def test_a_world_becomes_a_room(tmp_path, capsys):
     assert (len(made.obstacles), len(made.spawn), made.robot.radius) == (4, 2, 0.22)
     assert main(["room", file, "-o", room]) == 2  # the file exists
     assert "exists" in capsys.readouterr().err
-    for bad in ("<sdf/>", "<world/>", "<sdf><world/><world/></sdf>"):
+    for bad in ("<sdf/>", "<world/>", "<sdf><world/><world/></sdf>", "<sdf><world/></sdf>"):
         (tmp_path / "hall.world").write_text(bad)
         assert main(["room", file]) == 2
+    assert "nothing solid is in it" in capsys.readouterr().err
