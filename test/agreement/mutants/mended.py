@@ -130,4 +130,30 @@ MUTANTS: List[Mutant] = [
         "operator_and_memory.py::"
         "test_an_attempt_that_cannot_succeed_does_not_keep_others_from_trying",
     ),
+    _mended(
+        "never patient",
+        "an answer that cannot be matched to a message does not make the next attempt wait longer",
+        (Consensus._measure, "0.0 if attempt.patient else took", "0.0"),
+        transcript="another_log_let_in",
+    ),
+    _mended(
+        "busy with ghosts",
+        "a join that nobody answers for is proposed again and again",
+        (
+            Proposer._others_want,
+            "return bool(self.electorate.without_ghosts(self.proposals.reported_by(without_vote)))",
+            "return True",
+        ),
+        "protocol_steps.py::test_a_join_that_nobody_answers_for_keeps_nobody_busy",
+    ),
+    _mended(
+        "same eviction",
+        "an eviction by force that is in both logs counts for one of them",
+        (
+            Membership._is_given_up,
+            "if slot > other.get(robot, -1)",
+            "if slot >= other.get(robot, -1)",
+        ),
+        "protocol_steps.py::test_a_log_that_ends_before_an_eviction_by_force_was_not_given_up",
+    ),
 ]

@@ -304,6 +304,15 @@ def test_a_join_of_a_lost_log_keeps_no_later_one_out() -> None:
     assert replica.electorate.without_ghosts([lost, here]) == [here]
 
 
+def test_a_join_that_nobody_answers_for_keeps_nobody_busy() -> None:
+    replica = Quiet(3).replica("r2")
+    join = Item(log_entries.Join("j1", 0, "p1", "gone"), Origin("j1", 0, 1, "gone"))
+    peer = replica.state.peers.hear("j1", replica.state.now)
+    for peer.log, wants in (("here", False), ("gone", True)):
+        replica.proposals.add_others([join])
+        assert replica.proposer.wants() is wants
+
+
 def test_a_witness_that_lost_its_log_comes_back() -> None:
     world = World(make_plan(TOKENS, 2, False, 0.0, 0.0, True), 1)
     for node in world.nodes.values():
@@ -321,7 +330,9 @@ def test_a_log_that_ends_before_an_eviction_by_force_was_not_given_up() -> None:
     gives_up = Quiet(3).replica("r1").membership._is_given_up
     assert not gives_up("r3", {}, 5, {"r3": 5})
     assert gives_up("r3", {}, 6, {"r3": 5})
-    assert not gives_up("r1", {"r3": 5}, 9, {"r3": 5})  # both hold the same eviction
+    # both hold one eviction, and the other log one more
+    assert not gives_up("r1", {"r3": 5}, 9, {"r3": 5})
+    assert gives_up("r1", {"r3": 5}, 9, {"r3": 5, "r2": 7})
 
 
 def test_of_two_logs_with_evictions_by_force_the_one_with_fewer_is_kept() -> None:
