@@ -6,12 +6,14 @@ from __future__ import annotations
 from typing import List
 
 from agreement.mutants.mutant import Mutant
+from agreement.world import World
 from gspn_framework_package.execution.agreement.consensus import Consensus
 from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.membership import Membership
 from gspn_framework_package.execution.agreement.proposals import ProposalQueue
 from gspn_framework_package.execution.agreement.proposer import Proposer
 from gspn_framework_package.execution.agreement.replica import Replica
+from gspn_framework_package.execution.verifier import votes
 from meaning.edited import Edit, applied
 
 
@@ -24,6 +26,12 @@ def _mended(name: str, text: str, edit: Edit, test: str = "", transcript: str = 
         test=test and _UNIT + test,
         transcript=transcript,
     )
+
+
+def _checker(name: str, text: str, edit: Edit, seed: str) -> Mutant:
+    """A fault in what checks the agreement: it finds fault with what is right."""
+    kind = seed.split(":")[3:] or [""]
+    return Mutant(name, "mended", text, lambda: applied([edit]), kinds=kind, seeds=(seed,))
 
 
 _UNIT = "execution/test_"
@@ -155,5 +163,23 @@ MUTANTS: List[Mutant] = [
             "if slot >= other.get(robot, -1)",
         ),
         "protocol_steps.py::test_a_log_that_ends_before_an_eviction_by_force_was_not_given_up",
+    ),
+    _checker(
+        "misses lost votes",
+        "the verifier misses votes that a loss of power may have taken",
+        (votes._quorum, "if not chosen and perhaps:", "if False:"),
+        "7:3:full:outage",
+    ),
+    _checker(
+        "misses votes of one",
+        "the verifier does not know that one robot may be all that is left",
+        (votes._quorum, "if _may_decide({proposer}, members, off):", "if False:"),
+        "0:3:partial:operator",
+    ),
+    _checker(
+        "settled though fenced",
+        "the simulation takes a fenced robot for one that has settled",
+        (World.has_settled, "or replica.fenced", ""),
+        "210:2:partial",
     ),
 ]
