@@ -15,8 +15,9 @@ _spec.loader.exec_module(pages)
 
 
 def without_times(text):
-    """What differs from run to run, and where numba is missing, left out."""
-    return re.sub(r"[\d.]+ s\)|\((numpy|numba|sparse)\)", "", text)
+    """What differs from run to run, between solvers, and where numba is missing, left out."""
+    text = re.sub(r"[\d.]+ s\)|\((numpy|numba|sparse)\)", "", text)
+    return re.sub(r"\d+\.\d{7,}", lambda number: "%.6f" % float(number.group()), text)
 
 
 @pytest.mark.long
