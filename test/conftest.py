@@ -4,5 +4,5 @@ from hypothesis import HealthCheck, settings
 
 settings.register_profile("any", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 # for what has run with 100 before
-settings.register_profile("libraries", settings.get_profile("any"), max_examples=30)
+settings.register_profile("libraries", settings.get_profile("any"), max_examples=12)
 settings.load_profile("any")

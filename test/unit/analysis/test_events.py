@@ -255,7 +255,7 @@ def test_the_simulation_agrees_with_the_run_in_virtual_time(plan):
 
 @pytest.mark.long
 @pytest.mark.skipif(not machine.may_compile(), reason="numba is missing")
-@settings(relaxed, max_examples=20)
+@settings(relaxed, max_examples=10)
 @given(with_events(small_plans()))
 def test_both_forms_give_the_same_numbers(plan):
     results = []
