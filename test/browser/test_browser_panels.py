@@ -93,7 +93,7 @@ def test_the_run_net_of_a_plan_is_shown_with_what_its_nodes_stand_for(show_net, 
     page = open_page(show_net(plan.net, plan).address)
     page.click("#show-run-net")
     page.wait_for_selector("#subtitle:has-text('its run net')")
-    assert "take exponential times" in page.inner_text("#inspector")
+    page.wait_for_selector("#inspector:has-text('take exponential times')")
     assert page.locator("#show-run-net").count() == 0
     page.click("#left >> text=Docked_done_wants_Hand_Over")
     page.wait_for_selector("#inspector:has-text('robots: Docked (done, wants Hand_Over)')")
