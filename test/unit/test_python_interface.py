@@ -322,6 +322,19 @@ def test_the_examples_are_listed():
     assert "gspn new --example NAME DIR" in ran.stdout
 
 
+def test_a_reader_that_leaves_early_sees_no_traceback():
+    command = '"$0" -u -m gspn.examples | head -n 1'
+    ran = subprocess.run(
+        ["bash", "-c", command, sys.executable],
+        cwd=str(ROOT),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=60 * PATIENCE,
+    )
+    assert ran.stdout.count("\n") == 1 and ran.stderr == ""
+
+
 def test_the_example_of_the_page(tmp_path, monkeypatch, capsys):
     readme = (ROOT / "README.md").read_text("utf-8")
     page = (ROOT / "docs" / "python.md").read_text("utf-8")
