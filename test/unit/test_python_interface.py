@@ -327,8 +327,7 @@ def test_a_reader_that_leaves_early_sees_no_traceback():
     ran = subprocess.run(
         ["bash", "-c", command, sys.executable],
         cwd=str(ROOT),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+        capture_output=True,
         text=True,
         timeout=60 * PATIENCE,
     )
