@@ -7,6 +7,7 @@ import argparse
 import json
 from typing import TYPE_CHECKING, Any, Dict, List, Union
 
+from gspn_framework_package.analysis.plan.structure import may_lose_robots
 from gspn_framework_package.analysis.preflight import MARKING_LIMIT, PROOF_SECONDS
 from gspn_framework_package.analysis.preflight.report import PreflightReport, marking_text, sequence
 from gspn_framework_package.cli import numbers
@@ -190,22 +191,15 @@ def decide_all(
     :param standalone: whether the plan is for agents, which are never lost.
     :param progress: called with the progress.
     """
-    from gspn_framework_package.analysis.proofs.ladder import decide_question, decide_with_losses
+    from gspn_framework_package.analysis.proofs.ladder import decide_for_team
 
-    lossy = (
-        isinstance(subject, Plan)
-        and subject.timing.evict_after > 0
-        and len(subject.robots) > 1
-        and not standalone
-    )
+    losses = isinstance(subject, Plan) and may_lose_robots(subject, standalone)
     more: Dict[str, Any] = {"seconds": seconds, "limit": limit, "progress": progress}
-    found: List[Answer] = []
-    for question in questions:
-        if lossy:
-            found += decide_with_losses(subject, question, **more)
-        else:
-            found.append(decide_question(subject, question, **more))
-    return found
+    return [
+        answer
+        for question in questions
+        for answer in decide_for_team(subject, question, losses=losses, **more)
+    ]
 
 
 def all_proven(answers: List[Answer]) -> bool:

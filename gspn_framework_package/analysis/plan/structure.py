@@ -31,6 +31,14 @@ def robot_flows(plan: Plan) -> List[RobotFlow]:
     ]
 
 
+def may_lose_robots(plan: Plan, standalone: bool = False) -> bool:
+    """Whether the others can go on without a robot: who is not heard is evicted.
+
+    :param standalone: the tokens are agents of one process, none of which is lost alone.
+    """
+    return plan.timing.evict_after > 0 and len(plan.robots) > 1 and not standalone
+
+
 def terminal_places(plan: Plan) -> Set[int]:
     """Numbers of the action places without output arcs, where robots are Inactive."""
     return {

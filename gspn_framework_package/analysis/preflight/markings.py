@@ -12,6 +12,7 @@ import numpy as np
 from gspn_framework_package.analysis.plan.markings import Finding, PlanMarkings
 from gspn_framework_package.analysis.plan.structure import (
     idle_places,
+    may_lose_robots,
     robot_flows,
 )
 from gspn_framework_package.analysis.preflight.report import (
@@ -73,11 +74,12 @@ class MarkingChecks:
         self._structure = structure
         self._list = checklist
         self._seconds = seconds
+        self._losses = may_lose_robots(self.plan, structure.standalone)
         self._asked: Dict[str, List[Answer]] = {}
 
     def look_at_markings(self) -> PlanMarkings:
         """Visit markings, answer the open questions, and return the markings."""
-        losses = self._robots_can_be_lost()
+        losses = self._losses
         markings = self._visit(
             False, min(self.limit, COUNTS_BEFORE_PROOFS // max(len(self.net.places), 1))
         )
@@ -132,13 +134,6 @@ class MarkingChecks:
                 )
         return markings
 
-    def _robots_can_be_lost(self) -> bool:
-        return (
-            self.plan.timing.evict_after > 0
-            and len(self.plan.robots) > 1
-            and not self._structure.standalone
-        )
-
     def _all_proven(self, markings: PlanMarkings) -> bool:
         """Whether proofs decide all open questions, for teams that lost robots too, so that
         visiting more markings would add little."""
@@ -185,29 +180,24 @@ class MarkingChecks:
         if question in self._asked:
             return self._asked[question]
         # few plans need them, nor the solver that they import
-        from gspn_framework_package.analysis.proofs.ladder import (
-            decide_question,
-            decide_with_losses,
-        )
+        from gspn_framework_package.analysis.proofs.ladder import decide_for_team
 
         begun = time.monotonic()
-        more: Dict[str, Any] = {
-            "seconds": max(self._seconds, 0.1),
-            "limit": 0,
-            "progress": self.progress,
-            "cancel": self.cancel,
-        }
-        about = MarkingQuestion(_PROOFS[question])
-        if self._robots_can_be_lost():
-            answers = decide_with_losses(self.plan, about, **more)
-        else:
-            answers = [decide_question(self.plan, about, **more)]
+        answers = decide_for_team(
+            self.plan,
+            MarkingQuestion(_PROOFS[question]),
+            losses=self._losses,
+            seconds=max(self._seconds, 0.1),
+            limit=0,
+            progress=self.progress,
+            cancel=self.cancel,
+        )
         self._seconds -= time.monotonic() - begun
         self._asked[question] = answers
         return answers
 
     def _as_long_as(self, answer: Answer) -> str:
-        lost = answer.question.losses or not self._robots_can_be_lost()
+        lost = answer.question.losses or not self._losses
         return "" if lost else " as long as no robot is lost"
 
     def _report_dead(self, answer: Answer) -> bool:

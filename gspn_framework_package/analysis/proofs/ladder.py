@@ -131,19 +131,24 @@ def decide_question(
         return ladder.not_decided(str(error))
 
 
-def decide_with_losses(
-    subject: Union[Net, Plan], question: MarkingQuestion, *, seconds: float = SECONDS, **more: Any
+def decide_for_team(
+    subject: Union[Net, Plan],
+    question: MarkingQuestion,
+    *,
+    losses: bool,
+    seconds: float = SECONDS,
+    **more: Any,
 ) -> List[Answer]:
-    """Decide a question about a plan whose robots can be lost, for the whole team and, if that
-    proves it, with losses: one answer if it is the same for both, else that for the whole team
-    first.
+    """Decide a question for the whole team and, if that proves it, with losses of robots where
+    these are possible: one answer if it is the same for both, else that for the whole team first.
 
+    :param losses: whether robots can be lost.
     :param seconds: the budget of both together (s).
     :param more: see :func:`decide_question`.
     """
     end = time.monotonic() + seconds
     whole = decide_question(subject, question, seconds=seconds, **more)
-    if whole.verdict != PROVEN:
+    if not losses or whole.verdict != PROVEN:
         return [whole]
     question = question._replace(losses=True)
     left = max(end - time.monotonic(), 0.0)
