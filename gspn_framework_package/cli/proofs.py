@@ -75,7 +75,7 @@ def questions_about(
         *([MarkingQuestion(questions.CAN_MOVE)] if moves else []),
     ]
     for question in found:
-        if question.about or question.kind in (questions.CAN_END, questions.CAN_MOVE):
+        if question.about or question.kind in questions.FROM_EVERYWHERE:
             with contextlib.suppress(LimitError):  # the answer will say it
                 problem_of(subject, question)
     return found

@@ -3,11 +3,10 @@ them open."""
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Optional
+from typing import Any, Dict, Iterable, List, Optional
 
 from gspn_framework_package.analysis.analyse import Analysis, Reachability
 from gspn_framework_package.analysis.plan.reading import RUN
-from gspn_framework_package.analysis.proofs.checker import played_to
 from gspn_framework_package.analysis.proofs.ladder import (
     PROVEN,
     SECONDS,
@@ -15,14 +14,10 @@ from gspn_framework_package.analysis.proofs.ladder import (
     Answer,
     decide_question,
 )
-from gspn_framework_package.analysis.proofs.questions import (
-    DEAD,
-    NEVER,
-    MarkingQuestion,
-    problem_of,
-)
+from gspn_framework_package.analysis.proofs.questions import DEAD, NEVER, MarkingQuestion
 from gspn_framework_package.analysis.state_space.space import WitnessStep
 from gspn_framework_package.model.errors import ExpressionError
+from gspn_framework_package.model.net import Net
 
 
 def dead_marking(analysis: Analysis) -> Optional[Dict[str, Any]]:
@@ -34,7 +29,7 @@ def dead_marking(analysis: Analysis) -> Optional[Dict[str, Any]]:
     """
     if analysis.plan is not None:
         return None
-    answer = _answer(analysis, MarkingQuestion(DEAD))
+    answer = decided(analysis, MarkingQuestion(DEAD))
     if answer.verdict == PROVEN:
         return {"count": 0, "witness": None, "marking": None}
     if answer.verdict == VIOLATED:
@@ -54,27 +49,31 @@ def can_hold(analysis: Analysis, condition: str) -> Optional[Reachability]:
         return None
     question = MarkingQuestion(NEVER, condition)
     try:
-        answer = _answer(analysis, question)
+        answer = decided(analysis, question)
     except ExpressionError:
         return None  # it asks for more than counts of places: ``deadlock``
     if answer.verdict == PROVEN:
         return Reachability(False, 0, None)
     if answer.verdict == VIOLATED and analysis.plan is None:
-        return Reachability(True, 1, _steps(analysis, question, list(answer.sequence or ())))
+        return Reachability(True, 1, _steps(analysis.net, answer.sequence or ()))
     return None
 
 
-def _answer(analysis: Analysis, question: MarkingQuestion) -> Answer:
+def decided(analysis: Analysis, question: MarkingQuestion, limit: int = 0) -> Answer:
+    """The answer of the ladder to a question about the subject of an analysis, within its time.
+
+    :param limit: the most markings to visit; 0 for none.
+    :raises CancelledError: the work was cancelled.
+    :raises GspnError: the question cannot be read.
+    """
     more = analysis.while_working
     more["seconds"] = min(more["seconds"], SECONDS)
-    return decide_question(analysis.plan or analysis.net, question, limit=0, **more)
+    return decide_question(analysis.plan or analysis.net, question, limit=limit, **more)
 
 
-def _steps(analysis: Analysis, question: MarkingQuestion, sequence: List[str]) -> List[WitnessStep]:
-    problem = problem_of(analysis.net, question)
-    played_to(problem, sequence)
-    net, marking = problem.net, problem.net.initial_marking
-    steps = []
+def _steps(net: Net, sequence: Iterable[str]) -> List[WitnessStep]:
+    """The steps of firings that were played before."""
+    marking, steps = net.initial_marking, []
     for name in sequence:
         marking = net.fire(marking, net.transition_number(name))
         steps.append(WitnessStep(name, net.named(marking)))

@@ -33,9 +33,7 @@ from gspn_framework_package.analysis.proofs.checker import (
 )
 from gspn_framework_package.analysis.proofs.prover import Candidate, Prover
 from gspn_framework_package.analysis.proofs.questions import (
-    CAN_END,
-    CAN_MOVE,
-    RETURNS,
+    FROM_EVERYWHERE,
     MarkingQuestion,
     problem_of,
 )
@@ -239,11 +237,9 @@ class _Ladder:
 
     def _search(self, candidate: Candidate) -> Optional[Answer]:
         watch = self._watch()
-        if self._question.kind in (
-            RETURNS,
-            CAN_END,
-            CAN_MOVE,
-        ):  # what nothing leads away from may be no case
+        if (
+            self._question.kind in FROM_EVERYWHERE
+        ):  # the candidate may be no case: leave time to explore
             watch = watch.half()
         sequence = realise(self._problem, candidate, watch)
         if sequence is not None:

@@ -54,7 +54,11 @@ DEAD, NEVER, ALWAYS, APART, FIRES, NO_ROW = "dead", "never", "always", "apart", 
 
 AT_MOST, RETURNS, CAN_END, CAN_MOVE = "at_most", "returns", "ends", "moves"
 
-QUESTION_KINDS = (DEAD, NEVER, ALWAYS, APART, AT_MOST, FIRES, NO_ROW, RETURNS, CAN_END, CAN_MOVE)
+FROM_EVERYWHERE = (RETURNS, CAN_END, CAN_MOVE)
+"""Questions about what can be reached again from every marking. A marking that no firing leads
+nearer to it is only a candidate."""
+
+QUESTION_KINDS = (DEAD, NEVER, ALWAYS, APART, AT_MOST, FIRES, NO_ROW, *FROM_EVERYWHERE)
 
 _STATEMENTS = {
     DEAD: "no dead marking can be reached",

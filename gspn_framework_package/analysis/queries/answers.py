@@ -23,13 +23,8 @@ import numpy as np
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.proofs import questions
-from gspn_framework_package.analysis.proofs.ladder import (
-    FEW_MARKINGS,
-    PROVEN,
-    SECONDS,
-    VIOLATED,
-    decide_question,
-)
+from gspn_framework_package.analysis.proofs.answers import decided
+from gspn_framework_package.analysis.proofs.ladder import FEW_MARKINGS, PROVEN, VIOLATED
 from gspn_framework_package.analysis.proofs.questions import MarkingQuestion
 from gspn_framework_package.analysis.queries.grammar import (
     Branching,
@@ -205,11 +200,8 @@ class _Work:
         undecided = QueryAnswer(self._text)
         if question is None:
             return undecided
-        plan, settings = self._analysis.plan, self._analysis.while_working
-        settings["seconds"] = min(settings["seconds"], SECONDS)
-        found = decide_question(
-            plan or self._analysis.net, question, limit=FEW_MARKINGS, **settings
-        )
+        plan = self._analysis.plan
+        found = decided(self._analysis, question, FEW_MARKINGS)
         if found.verdict == PROVEN:
             return undecided._replace(holds=formula.every, decided_by=found.decided_by)
         if found.verdict == VIOLATED and plan is None:
