@@ -11,7 +11,13 @@ from gspn_framework_package.analysis.plan.structure import may_lose_robots
 from gspn_framework_package.analysis.preflight import MARKING_LIMIT, PROOF_SECONDS
 from gspn_framework_package.analysis.preflight.report import PreflightReport, marking_text, sequence
 from gspn_framework_package.cli import numbers
-from gspn_framework_package.cli.options import MODULES_OPTION, Argument, Arguments, repeated
+from gspn_framework_package.cli.options import (
+    MODULES_OPTION,
+    Argument,
+    Arguments,
+    repeated,
+    value_name,
+)
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.formats.plan_file import is_plan, read_net_or_plan, read_plan
 from gspn_framework_package.model.net import Net
@@ -47,10 +53,6 @@ _QUESTIONS: Arguments = {
         "decide whether every robot of a plan that is not at an end can move again, from every "
         "marking: none waits for ever"
     ),
-    Argument("--certificate", "FILE"): (
-        "decide also whether a dead marking, or one that needs a policy row and has none, can be "
-        "reached, and write the proofs of all that is proven; 'gspn verify FILE' checks them"
-    ),
 }
 
 OPTIONS: Arguments = {
@@ -68,6 +70,10 @@ OPTIONS: Arguments = {
         "(default %(default)g)"
     ),
     **_QUESTIONS,
+    Argument("--certificate", "FILE"): (
+        "decide also whether a dead marking, or one that needs a policy row and has none, can be "
+        "reached, and write the proofs of all that is proven; 'gspn verify FILE' checks them"
+    ),
     **MODULES_OPTION,
 }
 
@@ -79,7 +85,7 @@ EPILOG = (
 
 def run(args: argparse.Namespace) -> int:
     """Check the plan, decide what is asked, and print the report and the answers."""
-    if args.certificate or _asks_more(args):
+    if args.certificate or any(_asked(args).values()):
         return _decide(args)
     plan = _plan(args)
     report = _report(args, plan)
@@ -90,21 +96,9 @@ def run(args: argparse.Namespace) -> int:
     return report.exit_code
 
 
-def _asks_more(args: argparse.Namespace) -> bool:
-    """Whether something is asked about all markings."""
-    return any(
-        getattr(args, name)
-        for name in (
-            "never",
-            "always",
-            "apart",
-            "at_most",
-            "never_fires",
-            "returns",
-            "ends",
-            "moves",
-        )
-    )
+def _asked(args: argparse.Namespace) -> Dict[str, Any]:
+    """The questions about all markings, as :func:`.proofs.questions_about` takes them."""
+    return {name: getattr(args, name) for name in map(value_name, _QUESTIONS)}
 
 
 def _plan(args: argparse.Namespace) -> Plan:
@@ -138,11 +132,12 @@ def _decide(args: argparse.Namespace) -> int:
     from gspn_framework_package.cli import proofs
 
     subject: Union[Net, Plan]
+    asked = {**_asked(args), "general": bool(args.certificate)}
     data: Dict[str, Any] = {}
     code = 0
     if is_plan(args.plan):
         subject = _plan(args)
-        questions = proofs.asked(args, subject)
+        questions = proofs.questions_about(subject, **asked)
         report = _report(args, subject)
         code = report.exit_code
         data = _as_json(report, subject)
@@ -150,7 +145,7 @@ def _decide(args: argparse.Namespace) -> int:
             _print(report, subject)
     else:
         subject = read_net_or_plan(args.plan).net
-        questions = proofs.asked(args, subject)
+        questions = proofs.questions_about(subject, **asked)
     with ProgressLine() as progress:
         answers = decide_all(
             subject,

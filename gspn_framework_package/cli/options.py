@@ -28,6 +28,15 @@ Arguments = Mapping[Union[str, Argument], str]
 """Argument -> its help. A text is the name of an option without a value."""
 
 
+def value_name(argument: Union[str, Argument]) -> str:
+    """The name under which a parser keeps the value of an argument."""
+    if isinstance(argument, Argument):
+        name = str(argument.settings.get("dest", argument.names[-1]))
+    else:
+        name = argument
+    return name.lstrip("-").replace("-", "_")
+
+
 def repeated(names: str, metavar: Any = None, kind: Any = None, **more: Any) -> Argument:
     """An option that may be repeated; its value is a list. Parameters as for :class:`Argument`."""
     return Argument(names, metavar, kind, [], action="append", **more)

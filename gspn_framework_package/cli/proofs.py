@@ -20,22 +20,6 @@ from gspn_framework_package.model.plan import Plan
 FORMAT = "gspn_proofs"
 
 
-def asked(args: argparse.Namespace, subject: Union[Net, Plan]) -> List[MarkingQuestion]:
-    """The questions in the arguments. :raises GspnError: see :func:`questions_about`."""
-    return questions_about(
-        subject,
-        never=args.never,
-        always=args.always,
-        apart=args.apart,
-        at_most=args.at_most,
-        never_fires=args.never_fires,
-        returns=args.returns,
-        ends=args.ends,
-        moves=args.moves,
-        general=bool(args.certificate),
-    )
-
-
 def questions_about(
     subject: Union[Net, Plan],
     *,
