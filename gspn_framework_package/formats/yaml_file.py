@@ -8,6 +8,7 @@ aliases that would expand endlessly, or to far more than anyone writes by hand.
 from __future__ import annotations
 
 import re
+import sys
 from typing import Any, Dict, Iterable, Optional, Set, Tuple, Union
 
 import yaml
@@ -24,6 +25,13 @@ MOST_LEVELS = 100
 
 _MERGE = "tag:yaml.org,2002:merge"  # the tag of the key <<
 _SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+def is_finite_number(value: Any) -> bool:
+    """Whether a value is a number that a float can hold; in YAML, ``.nan`` and ``.inf`` are written
+    like numbers, too."""
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return is_number and abs(value) <= sys.float_info.max
 
 
 class _Loader(_SafeLoader):

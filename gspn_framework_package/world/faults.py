@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, Mapping, Sequence, Tuple
 
+from gspn_framework_package.formats.yaml_file import is_finite_number
 from gspn_framework_package.world.room import Pose, Room, RoomFault
 
 if TYPE_CHECKING:
@@ -50,13 +51,18 @@ def read_fault(data: Any) -> RoomFault:
     numbers = {"time": 0.0, "lasts": math.inf, "grip": 0.0, "person": 0}
     for key in numbers:
         value = data.get(key, numbers[key])
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not value >= 0.0:
+        is_number = is_finite_number(value) or (value == math.inf and key != "person")
+        if not is_number or value < 0.0:
             raise ValueError("'%s' is not a number of at least 0: %r" % (key, value))
         numbers[key] = value
     if data.get("wheel", "both") not in tuple(WHEELS):
         raise ValueError("'wheel' is not one of %s" % ", ".join(WHEELS))
     to = data.get("to", [0.0, 0.0])
-    if not isinstance(to, (list, tuple)) or not 2 <= len(to) <= 3 or not all(map(_is_finite, to)):
+    if (
+        not isinstance(to, (list, tuple))
+        or not 2 <= len(to) <= 3
+        or not all(map(is_finite_number, to))
+    ):
         raise ValueError("'to' is not a pose [x, y, yaw]")
     return RoomFault(
         kind,
@@ -69,10 +75,6 @@ def read_fault(data: Any) -> RoomFault:
         door=str(data.get("door", "")),
         person=int(numbers["person"]),
     )
-
-
-def _is_finite(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def check_fault(fault: RoomFault, room: Room) -> None:

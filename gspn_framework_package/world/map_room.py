@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from gspn_framework_package.formats.source import open_file
-from gspn_framework_package.formats.yaml_file import YamlDocument, read_yaml
+from gspn_framework_package.formats.yaml_file import YamlDocument, is_finite_number, read_yaml
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.world.made_room import merged_boxes
 from gspn_framework_package.world.room import Box
@@ -68,16 +68,16 @@ def _checked(document: YamlDocument) -> Dict[str, Any]:
             raise document.error("there is no key '%s' in a map" % key, [key])
     if not isinstance(data["image"], str) or not data["image"]:
         raise document.error("it is not the name of a file", ["image"])
-    if not _is_number(data["resolution"]) or not data["resolution"] > 0.0:
+    if not is_finite_number(data["resolution"]) or not data["resolution"] > 0.0:
         raise document.error(
             "%r is not a resolution: metres per cell, more than 0" % (data["resolution"],),
             ["resolution"],
         )
     origin = data["origin"]
-    if not isinstance(origin, list) or len(origin) != 3 or not all(map(_is_number, origin)):
+    if not isinstance(origin, list) or len(origin) != 3 or not all(map(is_finite_number, origin)):
         raise document.error("it is not a pose [x, y, yaw]", ["origin"])
     for key in ("occupied_thresh", "free_thresh"):
-        if key in data and (not _is_number(data[key]) or not 0.0 <= data[key] <= 1.0):
+        if key in data and (not is_finite_number(data[key]) or not 0.0 <= data[key] <= 1.0):
             raise document.error("%r is not a number from 0 to 1" % (data[key],), [key])
     if data.get("negate", 0) not in (0, 1):
         raise document.error("%r is neither 0 nor 1" % (data["negate"],), ["negate"])
@@ -86,10 +86,6 @@ def _checked(document: YamlDocument) -> Dict[str, Any]:
             "the mode %r is not read" % (data["mode"],), ["mode"], "trinary and scale are"
         )
     return data
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _occupied(document: YamlDocument, data: Dict[str, Any]) -> np.ndarray:

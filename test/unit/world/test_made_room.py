@@ -95,6 +95,7 @@ def test_a_map_may_be_turned_and_negated(tmp_path):
     "change, element, words",
     [
         ({"resolution": 0}, "resolution", "0 is not a resolution"),
+        ({"resolution": 10**400}, "resolution", "is not a resolution"),
         ({"resolution": "fine"}, "resolution", "'fine' is not a resolution"),
         ({"resolution": 5.0}, "resolution", "the map is 410 m x 210 m"),
         ({"origin": [0, 0]}, "origin", "pose"),

@@ -194,7 +194,14 @@ def test_a_bad_fault_of_a_room_file_is_named(fault, words):
 
 
 @pytest.mark.parametrize(
-    "data", [3, None, {"fault": []}, {"fault": "lidar", "robot": "r1", "lasts": math.nan}]
+    "data",
+    [
+        *(3, None, {"fault": []}),
+        {"fault": "lidar", "robot": "r1", "lasts": math.nan},
+        {"fault": "lidar", "robot": "r1", "lasts": 10**400},
+        {"fault": "carried", "robot": "r1", "to": [10**400, 0]},
+        {"fault": "person", "person": math.inf},
+    ],
 )
 def test_what_is_no_fault_is_refused(data):
     with pytest.raises(ValueError, match="is not"):
