@@ -71,10 +71,10 @@ def _counts_any_vote() -> ContextManager[Any]:
 
 def _keeps_leading() -> ContextManager[Any]:
     def make(original: Any) -> Any:
-        def _promise(self: Consensus, ballot: Ballot) -> None:
+        def _promise(self: Consensus, ballot: Ballot, torn: Any) -> None:
             state = self.state
             followers, promised = state.followers, state.promised
-            original(self, ballot)
+            original(self, ballot, torn)
             if followers is not None and ballot.robot != self.config.name:
                 state.followers, state.promised = followers, promised
 
