@@ -91,16 +91,26 @@ class SiteMap(NamedTuple):
     notes: Sequence[str]
     groups: Mapping[str, MapGroup] = {}
 
+    def edges_called(self, name: Any) -> List[Tuple[str, str]]:
+        """Return the edges that a name can mean: ``A_B``, or ``A -> B`` where that is several."""
+        pairs = [(edge.source, edge.target) for edge in self.edges]
+        return [pair for pair in pairs if str(name) in ("_".join(pair), " -> ".join(pair))]
+
     def group(self, nodes: Sequence[Any], edges: Sequence[Any], capacity: int) -> MapGroup:
         """Return the group of these nodes and of the edges ``A_B``.
 
-        :raises LookupError: the map has no such node or edge; with the name.
+        :raises LookupError: the map has no such node or edge, or several; in words.
         """
-        known = {"_".join(pair): pair for pair in ((e.source, e.target) for e in self.edges)}
-        for name in [*nodes, *edges]:
-            if str(name) not in (self.nodes if name in nodes else known):
-                raise LookupError(str(name))
-        return MapGroup([*map(str, nodes)], [known[str(edge)] for edge in edges], capacity)
+        for name in map(str, nodes):
+            if name not in self.nodes:
+                raise LookupError("there is no node or edge '%s' in the map" % name)
+        known = {}
+        for name in map(str, edges):
+            known[name] = self.edges_called(name)
+            if len(known[name]) != 1:
+                what = "more than one" if known[name] else "no node or"
+                raise LookupError("there is %s edge '%s' in the map" % (what, name))
+        return MapGroup([*map(str, nodes)], [pair for (pair,) in known.values()], capacity)
 
 
 def read_map(path: str) -> SiteMap:
@@ -575,8 +585,8 @@ def read_groups(
             found[str(name)] = site.group(**given)
         except LookupError as error:
             raise document.error(
-                "there is no node or edge '%s' in the map" % error,
+                str(error),
                 steps,
-                "A_B is the edge between A and B",
+                "A_B is the edge between A and B, and so is 'A -> B'",
             ) from None
     return found

@@ -18,9 +18,10 @@ from gspn_framework_package.making.plan_folder import NET_FILE, POLICY_FILE, wri
 from gspn_framework_package.making.site_drawing import SiteDrawing
 from gspn_framework_package.making.site_goals import drive_action
 from gspn_framework_package.making.site_map import MapEdge, MapGroup, read_map
+from gspn_framework_package.making.site_names import named, with_clear_names
 from gspn_framework_package.making.site_policy import RobotKind
 from gspn_framework_package.making.site_tasks import SiteTasks, read_tasks
-from gspn_framework_package.making.site_team import SiteState, SiteTeam, named
+from gspn_framework_package.making.site_team import SiteState, SiteTeam
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import InputError, UsageError
 from gspn_framework_package.model.net import Net, Point
@@ -112,6 +113,10 @@ def build_site_plan(
     tasks = SiteTasks(groups=site.groups)
     if tasks_path is not None:
         tasks = read_tasks(tasks_path, site)
+    try:
+        site, tasks, notes = with_clear_names(site, tasks)
+    except InputError as error:
+        raise error.located(file=tasks_path or map_path) from None
     team = SiteTeam(site, tasks, map_path, all_edges)
     size = 4 * len(team.states)
     if size > MOST_PLAN_NODES:
@@ -124,7 +129,7 @@ def build_site_plan(
         made = _Builder(tasks.plan or site.name, team, tasks, robots).built()
     except InputError as error:
         raise error.located(file=map_path) from None
-    return made._replace(notes=[*site.notes, *made.notes])
+    return made._replace(notes=[*site.notes, *notes, *made.notes])
 
 
 class _Builder:

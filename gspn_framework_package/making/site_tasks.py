@@ -199,15 +199,14 @@ class _Names:
         return list(dict.fromkeys(node for nodes in found for node in nodes))
 
     def edges(self, data: Mapping[Any, Any]) -> Dict[Tuple[str, str], Mapping[str, Any]]:
-        pairs = [(edge.source, edge.target) for edge in self._site.edges]
         found: Dict[Tuple[str, str], Mapping[str, Any]] = {}
         for name, given in data.items():
-            meant = [pair for pair in pairs if "_".join(pair) == str(name)]
+            meant = self._site.edges_called(name)
             if len(meant) != 1:
                 raise self._document.error(
                     "%s edge '%s' in the map" % ("more than one" if meant else "there is no", name),
                     ["edges", str(name)],
-                    "A_B is the edge from A to B",
+                    "A_B is the edge from A to B, and so is 'A -> B'",
                 )
             found[meant[0]] = found[meant[0][::-1]] = given
         return found

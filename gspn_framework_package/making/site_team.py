@@ -6,6 +6,7 @@ import math
 from typing import Dict, List, NamedTuple, Optional, Sequence, Set, Union
 
 from gspn_framework_package.making.site_map import MapEdge, MapNode, SiteMap
+from gspn_framework_package.making.site_names import named
 from gspn_framework_package.making.site_policy import RobotKind, SitePolicy, SiteRow
 from gspn_framework_package.making.site_tasks import SiteTasks
 from gspn_framework_package.model.errors import InputError, UsageError
@@ -266,11 +267,6 @@ def _reachable(site: SiteMap, starts: Sequence[str]) -> Set[str]:
                 found.add(target)
                 front.append(target)
     return found
-
-
-def named(*parts: str) -> str:
-    """Return the name of an element of the net, composed of the non-empty parts."""
-    return "_".join(part for part in parts if part)
 
 
 def _of_type(robot: str) -> str:

@@ -447,3 +447,50 @@ def test_limits_that_cannot_hold_are_errors(
 ) -> None:
     with pytest.raises(InputError, match=said):
         lane(tmp_path, text, **tasks)
+
+
+CLASHES = {
+    "nodes: {a: [0, 0], a_b: [1, 0], b_c: [2, 0], c: [3, 0]}\n"
+    "edges: [[a, b_c], [a_b, c], [a, c]]\n": {"start": ["a", "a_b"]},
+    "nodes: {node: [0, 0], b: [1, 0]}\nedges: [[node, b]]\n": {
+        "node_capacity": 1, "start": ["node", "b"]
+    },
+    "nodes: {dock: [0, 0], b: [1, 0], dock-: [2, 0]}\nedges: [[dock, b], [b, dock-]]\n": {
+        "docks": {"b": 1}, "battery": {"full": 0.1}, "tasks": {"Look": {"at": ["dock"], "seconds": 1}}
+    },
+    "nodes: {a_x: [0, 0], a-x: [1, 0], a: [2, 0], x_a: [3, 0]}\n"
+    "edges: [[a_x, a], [a, x_a], [a_x, a-x]]\n": {},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("text", CLASHES)
+def test_names_of_nodes_never_collide(tmp_path: Path, text: str) -> None:
+    path = written(tmp_path, CLASHES[text], "tasks.yaml")
+    made = build_site_plan(written(tmp_path, text), path, 2, all_edges=True)
+    made.write(str(tmp_path / "made"))
+    plan = read_plan(str(tmp_path / "made"))
+    site = yaml.safe_load(text)
+    driven = {
+        (round(goal["position"]["x"]), name)
+        for name, action in made.ros_actions.items()
+        if name.startswith("Drive_")
+        for goal in [action["goal"]["target_pose"]["pose"]]
+    }
+    assert len(driven) == 2 * len(site["edges"])
+    assert len([name for name in plan.actions if name.startswith("At_")]) == len(site["nodes"])
+    assert any("changed in the plan" in note for note in made.notes)
+
+
+def test_a_task_that_is_called_like_a_place_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="two elements of the plan would be called At_mid"):
+        built(tmp_path, LANE, {"tasks": {"At": {"at": ["mid"], "seconds": 1}}})
+
+
+def test_an_edge_whose_name_is_not_clear_is_written_with_an_arrow(tmp_path: Path) -> None:
+    text = next(iter(CLASHES))
+    with pytest.raises(InputError, match="more than one edge 'a_b_c'"):
+        built(tmp_path, text, {"edges": {"a_b_c": {"seconds": 3}}})
+    with pytest.raises(InputError, match="more than one edge 'a_b_c'"):
+        built(tmp_path, text, {"groups": {"lane": {"edges": ["a_b_c"]}}})
+    made = built(tmp_path, text, {"edges": {"a -> b_c": {"seconds": 3}}, "start": ["a", "a_b"]})
+    assert made.plan["durations"]["Drive_a_b-c"]["mean"] == 3
