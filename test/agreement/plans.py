@@ -204,6 +204,32 @@ def _steered_errands() -> Tuple[Plan, Sequence[str]]:
     return _errands(steered=True)
 
 
+def _relay() -> Tuple[Plan, Sequence[str]]:
+    """A robot that carries a task moves on by itself: *Fetch* is private."""
+    builder = (
+        NetBuilder("relay")
+        .place("Idle")
+        .place("Fetch")
+        .place("Carry")
+        .place("Deliver")
+        .place("orders")
+        .exponential("order", rate=5.0, inputs={}, outputs="orders")
+        .immediate("take", inputs=["Idle", "orders"], outputs="Fetch")
+        .exponential("fetched", inputs="Fetch", outputs="Carry")
+        .exponential("carried", inputs="Carry", outputs="Deliver")
+        .exponential("delivered", inputs="Deliver", outputs="Idle")
+    )
+    return _plan(
+        builder,
+        ["Idle"],
+        ["orders"],
+        idle=["Idle"],
+        events={"order": EventSource("/orders", "std_msgs/String")},
+        tasks=Tasks(("orders",), ("delivered",), {}),
+        on_evict={place: {"orders": 1} for place in ("Fetch", "Carry", "Deliver")},
+    )
+
+
 def _rounds() -> Tuple[Plan, Sequence[str]]:
     """Private places in a ring, which events leave as well; one of them may be resumed."""
     builder = (
@@ -240,11 +266,12 @@ _MAKERS: List[Callable[[], Tuple[Plan, Sequence[str]]]] = [
     _errands,
     _rounds,
     _steered_errands,
+    _relay,
 ]
 
-NOT_REACTING, REACTING, STEERED = (0, 1, 2, 3), (4, 5), 6
-"""The kinds of plans without and with events, tasks and data, and the one for orders about
-tasks."""
+NOT_REACTING, REACTING, STEERED, RELAY = (0, 1, 2, 3), (4, 5), 6, 7
+"""The kinds of plans without and with events, tasks and data, the one for orders about tasks, and
+the one in which robots carry tasks through private places."""
 
 
 @lru_cache(maxsize=None)

@@ -494,7 +494,7 @@ class Search:
                 self.transitions += 1
             walks += 1
             if walks % VERIFY_EVERY == 1:
-                self._verify(path)
+                self.verify(path)
 
     def _lane(self, action: Action, taken: Sequence[int]) -> Tuple[str, int, int]:
         if action.what != "take":
@@ -504,8 +504,8 @@ class Search:
 
     # -- what was found ----------------------------------------------------------------------------
 
-    def _verify(self, path: Sequence[Action]) -> None:
-        """Have the history checker look at the logs of a walk."""
+    def verify(self, path: Sequence[Action]) -> None:
+        """Have the history checker look at the logs after a path. :raises Found: a rule is broken."""
         logs = []
         for host, process in zip(self.hosts, self.replay(path)):
             if process is not None:

@@ -6,7 +6,10 @@ from __future__ import annotations
 import pytest
 
 from agreement.mutants import MUTANTS
-from agreement.search import SCOPES, Found, Scope, Search
+from agreement.plans import RELAY
+from agreement.search import SCOPES, Action, Found, Scope, Search
+from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.agreement import interface
 
 TRANSITIONS = 2_500
 """For each scope, breadth first, and as many at random."""
@@ -60,3 +63,57 @@ def test_the_same_steps_lead_to_the_same_logs() -> None:
             one.promised,
             one.log_id,
         )
+
+
+TASK = log_entries.Submit("order", "t1", {})
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        log_entries.CancelTask("t1"),
+        log_entries.GiveBack("t1"),
+        TASK._replace(id="t2", replaces="t1"),
+    ],
+    ids=lambda entry: type(entry).__name__,
+)
+def test_no_robot_moves_on_with_a_task_that_is_taken_from_it(entry: log_entries.Entry) -> None:
+    """r2 carries the task through a private place. It is asked about the slot in which the task is
+    taken from it, and its action ends before that is decided."""
+    orders = ((0, interface.TaskCame(TASK)), (0, interface.Order("o", entry)))
+    search = Search(Scope("relay", 2, True, orders, RELAY, slots=9, ticks=30))
+    team, path = search.begin, []
+
+    def do(action: Action) -> None:
+        nonlocal team
+        path.append(action)
+        team = search.after(team, action)
+
+    def settle() -> None:
+        taken = set()
+        for _ in range(4):
+            while True:
+                todo = [a for a in search.actions(team) if a.what == "take" and a not in taken]
+                if not todo:
+                    break
+                for action in todo:
+                    taken.add(action)
+                    do(action)
+            do(Action("tick", 0))
+            do(Action("tick", 1))
+
+    do(Action("order", 0, 0))
+    settle()
+    assert search.processes[team.processes[1]].running
+    known = len(search.messages)
+    do(Action("order", 0, 1))
+    do(Action("tick", 0))
+    asked = [
+        number
+        for number, message in enumerate(search.messages)
+        if number >= known and '"kind":"prepare"' in message.text
+    ]
+    do(Action("take", 1, asked[-1]))
+    do(Action("done", 1))
+    settle()
+    search.verify(path)

@@ -14,10 +14,10 @@ from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.messages import MOST_ITEMS, Batch
 from gspn_framework_package.execution.agreement.outbox import Outbox
 from gspn_framework_package.execution.agreement.state import (
-    CONTROLS,
     Proposal,
     ReplicaState,
     Waiting,
+    is_control,
 )
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.firing import Fault, Firing, firing_to_json
@@ -223,7 +223,7 @@ class ProposalQueue:
 
     def has_control(self) -> bool:
         """Whether an order is waiting that needs every robot to freeze its local transitions."""
-        return any(isinstance(entry, CONTROLS) for entry in self._asking())
+        return any(is_control(entry) for entry in self._asking())
 
     def end_lives(self, robots: Mapping[str, bool]) -> bool:
         """Whether a waiting proposal ends the life of one of these members, as in
@@ -325,7 +325,7 @@ class ProposalQueue:
             if self.electorate.ends_life(item.entry, unasked):
                 last[item.origin.robot] = number
         needed = {n for n, i in enumerate(items) if n <= last.get(i.origin.robot, -1)}
-        control = max((n for n in needed if isinstance(items[n].entry, CONTROLS)), default=-1)
+        control = max((n for n in needed if is_control(items[n].entry)), default=-1)
         return needed | {n for n, i in enumerate(items) if i.private and n < control}
 
     def in_order(self, frozen: bool, local: Optional[int] = None) -> List[Item]:
@@ -342,7 +342,7 @@ class ProposalQueue:
             leading = True
             for own in self._waiting_of(robot):
                 item = own.item
-                if not frozen and isinstance(item.entry, CONTROLS):
+                if not frozen and is_control(item.entry):
                     break
                 leading = leading and item.private
                 (first if leading else rest).append(item)

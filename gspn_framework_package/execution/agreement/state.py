@@ -39,9 +39,18 @@ CONTROLS = (
     log_entries.Stop,
     log_entries.Adopt,
     log_entries.CancelTask,
+    log_entries.GiveBack,
 )
 """Orders that local transitions must not pass: partial synchronisation decides them while all
 robots hold still."""
+
+
+def is_control(entry: log_entries.Entry) -> bool:
+    """Whether local transitions must not pass this entry: an order of :data:`CONTROLS`, or a task
+    that replaces another one, whose robot is then sent elsewhere."""
+    return isinstance(entry, CONTROLS) or (
+        isinstance(entry, log_entries.Submit) and bool(entry.replaces)
+    )
 
 
 class Proposal(NamedTuple):
