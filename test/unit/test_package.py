@@ -257,6 +257,7 @@ def too_long(path):
     return found
 
 
+@pytest.mark.long
 def test_what_is_long_has_a_reason():
     assert [name for path in MODULES + SCRIPTS_OF_THE_PAGE for name in too_long(path)] == []
 

@@ -263,7 +263,7 @@ def test_both_forms_give_the_same_numbers(plan):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(machine, "is_loaded", lambda compiled=compiled: compiled)
             try:
-                results.append(simulate(plan, time=9.0, replications=15, seed=4, losses=0.02))
+                results.append(simulate(plan, time=9.0, replications=5, seed=4, losses=0.02))
             except RefusedError as error:
                 results.append(str(error))
     assert str(results[0]) == str(results[1])

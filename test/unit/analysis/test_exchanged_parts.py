@@ -118,6 +118,7 @@ def both_reports(net, questions):
     return found, whole
 
 
+@pytest.mark.long
 @relaxed
 @given(net=nets_of_equal_parts())
 def test_the_answers_are_those_of_the_whole(net):

@@ -129,6 +129,7 @@ def test_every_part_can_be_cancelled(net, parts):
             getattr(Analysis(net, cancel=lambda: True), part)
 
 
+@pytest.mark.long
 def test_large_nets_have_fewer_states_unless_one_asks():
     assert states_of(LARGE_NET) == STATE_LIMIT > states_of(10 * LARGE_NET) > 100_000
     assert Analysis(ring(20_000)).limits.states == states_of(40_000)

@@ -26,6 +26,7 @@ def test_all_statements_agree(family):
         assert not told_by(comparison, case), name
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "family",
     [

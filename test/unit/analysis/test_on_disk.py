@@ -379,6 +379,7 @@ def test_a_net_without_bounds_never_goes_on_disk(tmp_path, capsys):
     assert "scratch_bytes" not in data
 
 
+@pytest.mark.long
 def test_the_benchmark_compares_with_memory(capsys):
     assert on_disk.main(["--sizes", "2", "--steady", "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)["nets"]

@@ -73,6 +73,7 @@ def test_a_bad_policy_is_improved_but_not_beyond_the_optimum():
     assert again.policy.rows[-1].choices == plan.policy.rows[-1].choices
 
 
+@pytest.mark.long
 def test_the_best_policy_is_left_alone():
     plan = machines(to_right=1.0)
     best = optimise(plan, Request(DONE), simulated=0.0).plan
@@ -94,6 +95,7 @@ def test_it_waits_where_it_may_and_never_enters_what_is_forbidden():
     assert any("nothing more is guaranteed" in note for note in barred.notes)
 
 
+@pytest.mark.long
 def test_the_policy_of_a_subnet_is_improved_among_its_own_rows():
     plan = machines(to_right=1.0)
     rows = [PolicyRow((), (("begin_left", 0.5), ("begin_right", 0.5)))]

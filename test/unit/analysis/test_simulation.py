@@ -114,6 +114,7 @@ def test_a_count_beyond_the_longest_row_does_not_stop_the_loop_at_each_firing(mo
     assert len(grown) < 30
 
 
+@pytest.mark.long
 def test_first_passage_of_a_counter():
     subject = plan("measure")
     exact = Analysis(subject).first_passage("P3 >= 4", [2.0])

@@ -93,6 +93,7 @@ def test_a_plan_without_subnets_has_no_such_measures(plan):
     assert not [key for key in found if key.startswith("subnet")]
 
 
+@pytest.mark.long
 def test_simulation_and_the_run_itself_go_through_the_subnet(plan):
     firings = VirtualRun(plan, seed=1).run(time=4000.0).firings
     expected = Analysis(plan).measures.throughput
@@ -145,6 +146,7 @@ def test_the_simulation_finds_the_rows_of_a_scope(data):
                 assert policy.rows[expected.row] in rows
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("timing", [RUN, NET])
 def test_simulation_estimates_the_measures_that_the_analysis_gives(plan, timing):
     exact = report(Analysis(plan, timing=timing))

@@ -154,6 +154,7 @@ def test_published_numbers_of_arcs():
     assert count_markings(kanban(50)).arcs == 156_123_354_932_013_560
 
 
+@pytest.mark.long
 def test_the_counts_are_those_of_exploration():
     for net in (flexible_manufacturing(2), two_handed(4), courier(1)):
         space, found = explore(net), count_markings(net)

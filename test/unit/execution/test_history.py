@@ -203,6 +203,7 @@ def forgotten_proposal(logs: List[EventLog]) -> None:
     logs[0].records.append({"kind": "invoked", "entry": entry, "origin": origin, "mono": 2.0})
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("lie", "rules"),
     [
@@ -498,6 +499,7 @@ def test_a_local_transition_that_leads_elsewhere_is_found() -> None:
     assert violation.rule == 10
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "nonsense", [7, "text", None, ["list"], {"entry": 5}, {"entry": "done", "robot": 3}]
 )

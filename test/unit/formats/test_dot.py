@@ -102,6 +102,7 @@ def test_fixed_nodes_get_arcs_and_labels_at_fixed_spots():
     assert 'layout="neato"' in dot.net_graph(far).text()
 
 
+@pytest.mark.long
 @needs_graphviz
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(net=nets())

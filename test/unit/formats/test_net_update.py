@@ -64,6 +64,7 @@ def edited(net):
     return changed(net, places, transitions, arcs)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("path", PLANS)
 def test_one_edit_changes_one_line(path, tmp_path):
     data = Path(path).read_bytes()

@@ -281,6 +281,7 @@ def test_a_robot_that_is_started_again_goes_on(write, team):
     assert [host.exit_code for host in team.hosts.values()] == [0, 0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("line", [1, 3, 6])
 def test_a_robot_whose_log_was_damaged_says_so_and_goes_on(write, team, capfd, line):
     plan = write()
@@ -304,6 +305,7 @@ def test_a_robot_whose_log_was_damaged_says_so_and_goes_on(write, team, capfd, l
     assert any(str(log) + ".damaged" in note for note in verdict.notes)
 
 
+@pytest.mark.long
 def test_a_robot_ends_when_its_log_is_removed(write, team, capfd):
     plan = write()
     team.start(plan, "robot_1", "robot_2")

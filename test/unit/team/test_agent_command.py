@@ -106,6 +106,7 @@ QUEUE = {
 }
 
 
+@pytest.mark.long
 def test_an_operator_with_keys_asks_orders_submits_and_deploys(secured, tmp_path, capsys):
     def gspn(verb, *words, by="ann", run="monday"):
         way = ["--connect", secured.hub.endpoint, "--keys", str(tmp_path / "keys" / by)]
@@ -176,6 +177,7 @@ def test_an_operator_has_the_robot_that_is_here_go_on_after_a_loss_of_power(
     wait_for(lambda: "torn" not in gspn("status")[1].out, 60, "robot_2 to be let in")
 
 
+@pytest.mark.long
 def test_a_name_that_runs_already_is_refused_and_its_log_is_let_go(secured, tmp_path, capsys):
     log = str(tmp_path / "elsewhere" / "robot_1.jsonl")
     way = ["--connect", secured.hub.endpoint, "--keys", str(tmp_path / "keys" / "robot_1")]

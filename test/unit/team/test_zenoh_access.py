@@ -17,6 +17,8 @@ from gspn_framework_package.team.zenoh_session import (
     names_in_key,
 )
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture
 def hub(tmp_path):

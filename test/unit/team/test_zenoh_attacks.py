@@ -23,6 +23,8 @@ from gspn_framework_package.team.lanes import LANES
 from gspn_framework_package.team.zenoh_carrier import ZenohCarrier
 from gspn_framework_package.team.zenoh_session import key_of
 
+pytestmark = pytest.mark.long
+
 ROBOTS = ("robot_1", "robot_2", "robot_3")
 THIEF = "robot_4"
 

@@ -22,6 +22,8 @@ from gspn_framework_package.team.zenoh_operator import client_on_zenoh
 from gspn_framework_package.team.zenoh_session import key_of, names_in_key, zenoh_library
 from gspn_framework_package.team.zenoh_watch import Sights, ZenohWatch
 
+pytestmark = pytest.mark.long
+
 STATUS = {
     "run": "run",
     "plan": "",

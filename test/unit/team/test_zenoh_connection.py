@@ -109,6 +109,7 @@ def test_a_page_with_a_watchers_keys_shows_the_same_and_follows_a_deployed_plan(
     wait_for(lambda: watcher.status["finished"], 30)
 
 
+@pytest.mark.long
 def test_a_page_says_that_the_router_is_gone_and_goes_on_when_it_is_back(agents, page):
     shown = page("ann")
     wait_for(lambda: set(shown.phases().values()) == {"doing"}, 30)

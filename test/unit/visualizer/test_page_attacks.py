@@ -190,6 +190,7 @@ def test_a_body_in_chunks_is_limited_too(attacked):
     assert b" 413 " in answer.split(b"\r\n")[0] and b"too large for a token" in answer
 
 
+@pytest.mark.long
 def test_a_request_has_a_deadline_and_a_peer_that_does_not_read_is_cut_off(attacked, monkeypatch):
     key = upload(attacked)
     monkeypatch.setattr(connections, "HEADER_SECONDS", 0.2)

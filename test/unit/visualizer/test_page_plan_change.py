@@ -115,6 +115,7 @@ def test_reasons_are_those_of_the_plan_of_the_moment(session):
         reasons_in(session, "leave_C", first)
 
 
+@pytest.mark.long
 def test_a_live_run_goes_on_under_another_plan(tmp_path):
     (tmp_path / "actions.py").write_text("def work(is_cancelled):\n    is_cancelled.wait(0.005)\n")
     old, new = (

@@ -181,6 +181,7 @@ def test_whatever_breaks_in_the_executor_ends_the_run(served, monkeypatch, what)
     assert start(client)[1].status_code == 200
 
 
+@pytest.mark.long
 def test_a_run_that_does_not_react_is_given_up_and_says_so(served, monkeypatch):
     client = served()
     hold = threading.Event()
