@@ -22,6 +22,9 @@ _LOOK_EVERY = 0.1
 """Seconds between two checks of a program that has closed its output or passed it to its
 children."""
 
+_DYING = 10.0
+"""Most seconds that a killed program is waited for: a busy machine takes a while to end it."""
+
 READ_SIZE = 65_536
 """Number of bytes read at once."""
 
@@ -151,6 +154,8 @@ class _Killer:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(self._grace)
         self._kill()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(_DYING)
 
 
 _running: Set[_Killer] = set()
