@@ -10,6 +10,7 @@ import { problemOfArc } from "./net_edits.js";
 
 const HANDLE = 36; // px from the centre of a node to its handles
 const REACH = 58; // the handles of a node stay while the pointer is this close (px)
+const RIM = 3; // px inside the outline of a place where its rim begins, from which arcs are drawn
 const ARC = 7; // px from the pointer within which an arc is hit
 const SIDES = [
   [1, 0],
@@ -64,6 +65,14 @@ export class CanvasPointer extends Pointer {
     return best;
   }
 
+  /** Whether a point at a node is on its rim, from which a drag draws an arc; inside it, a drag moves the node. */
+  onRim(node, [x, y]) {
+    const [dx, dy] = [Math.abs(node.x - x), Math.abs(node.y - y)];
+    if (node.type === "place") return Math.hypot(dx, dy) > RADIUS - RIM;
+    const [w, h] = BAR[node.kind];
+    return dx > w + RIM || dy > h;
+  }
+
   arcAt(point) {
     let [best, least] = [null, ARC / this.view.camera.now.k];
     for (const arc of this.view.arcs.all)
@@ -107,6 +116,7 @@ export class CanvasPointer extends Pointer {
     const point = this.drawing(event);
     const { handled } = this;
     const over = this.nodeAt(point);
+    this.view.container.classList.toggle("on-rim", Boolean(over && this.onRim(over, point)));
     if (over) this.showHandles(over);
     else if (handled && Math.hypot(handled.x - point[0], handled.y - point[1]) > REACH)
       this.showHandles(null);
@@ -128,7 +138,7 @@ export class CanvasPointer extends Pointer {
     const looks = event.button === 1 || mode.panning || touches;
     const kind = looks
       ? "pan"
-      : handle || (mode.tool === "arc" && node)
+      : handle || (mode.tool === "arc" && node) || this.drawsFrom(event, node, point)
         ? "arc"
         : node
           ? "move"
@@ -146,6 +156,12 @@ export class CanvasPointer extends Pointer {
     };
     view.container.setPointerCapture(event.pointerId);
     event.preventDefault();
+  }
+
+  /** Whether a drag from here draws an arc though no handle and no tool says so. */
+  drawsFrom(event, node, point) {
+    const plain = !this.mode.tool && !event.shiftKey && event.pointerType !== "touch";
+    return node && plain && this.onRim(node, point);
   }
 
   move(event) {

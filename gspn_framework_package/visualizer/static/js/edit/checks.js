@@ -5,7 +5,7 @@ import { h, plural } from "../dom.js";
 import { post } from "../api.js";
 import { onlyMoved } from "./plan_document.js";
 
-const QUIET = 150; // ms without an edit after which the state is checked
+const QUIET = 1000; // ms without an edit after which the state is checked: findings appear when the hand rests
 const LISTED = 60; // findings listed per level
 const LEVELS = { error: "Error", warning: "Warning", note: "Note" };
 const RANK = { error: 3, warning: 2, note: 1 };
@@ -61,7 +61,7 @@ export class Checks {
     this.state.textContent = text;
     this.chip.dataset.state = state;
     const [verdict] = text.split(/[.:…]/);
-    this.chip.textContent = state === "checking" ? "Checking …" : verdict;
+    this.chip.lastChild.textContent = state === "checking" ? "Checking …" : verdict;
     this.list.classList.toggle("stale", state === "checking" || state === "unknown");
     this.again.hidden = state !== "unknown";
   }
@@ -70,8 +70,17 @@ export class Checks {
     if (this.asked && onlyMoved(this.asked, this.mode.document.state)) return;
     this.revision += 1; // answers that arrive now are about another state
     this.showState("checking", "Checking … the findings below are those before the last edit.");
+    this.wait();
+  }
+
+  /** Check once nothing has been edited for a while, and no gesture or name is unfinished. */
+  wait() {
     clearTimeout(this.timer);
-    this.timer = setTimeout(() => this.check(), QUIET);
+    this.timer = setTimeout(() => {
+      const { pointer, renaming } = this.mode;
+      if (pointer.gesture || renaming) this.wait();
+      else this.check();
+    }, QUIET);
   }
 
   /** Check the present state quickly; if a question stays open, check again with the limits of gspn check. */

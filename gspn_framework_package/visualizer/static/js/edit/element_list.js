@@ -119,7 +119,10 @@ export class ElementList extends RestingList {
       if (to < items.length && from < items.length) heading(`${items.length - to} more: search`);
       start += items.length;
     }
-    if (!this.items.length) heading(wanted ? "No match" : "The net is empty");
+    if (!this.items.length) {
+      const text = wanted ? "No match" : "The net is empty"; // a list box needs an option
+      wantedRows.push(h("li.heading", { role: "option", "aria-disabled": "true", text }));
+    }
     this.put(wantedRows);
     this.mark();
   }

@@ -4,12 +4,14 @@ import { $, h, announce, ask, attempt, menu, nextTab, textField, withArticle } f
 import { post } from "../api.js";
 import { Actions, WORDS } from "./actions.js";
 import { ARRANGEMENTS } from "./arrange.js";
+import { Beginning } from "./beginning.js";
 import { Canvas } from "./canvas.js";
 import { CanvasPointer } from "./canvas_pointer.js";
 import { Checks } from "./checks.js";
 import { DiffView } from "./diff_view.js";
 import { bindEditKeys } from "./edit_keys.js";
 import { ElementList } from "./element_list.js";
+import { iconOf } from "./icons.js";
 import { Files } from "./files.js";
 import { actOnChoice } from "./menus.js";
 import { problemOfArc } from "./net_edits.js";
@@ -21,7 +23,16 @@ import { PolicyPanel } from "./policy_panel.js";
 import { PropertyPanel } from "./property_panel.js";
 
 /** The parts of the editor. They are constructed in this order with the mode; a part may have `close()`. */
-const PARTS = [PropertyPanel, PlanPanel, PolicyPanel, Checks, WhatHappens, DiffView, Files];
+const PARTS = [
+  PropertyPanel,
+  PlanPanel,
+  PolicyPanel,
+  Checks,
+  WhatHappens,
+  DiffView,
+  Files,
+  Beginning,
+];
 
 /** The names of the groups of the tool bar, in their order. */
 const GROUPS = ["file", "history", "add", "change", "arrange", "look"];
@@ -182,12 +193,12 @@ export class EditMode extends EventTarget {
   /** Add a button to a group of the tool bar (one of GROUPS): {label, title, key, onclick}, where `key` names the key
    * with the same effect. Returns the element. */
   button(group, { label, title = label, key = "", onclick, ...attributes }) {
-    const element = h("button", {
-      text: label,
-      title: key ? `${title} (${key})` : title,
-      onclick,
-      ...attributes,
-    });
+    const element = h(
+      "button",
+      { title: key ? `${title} (${key})` : title, onclick, ...attributes },
+      iconOf(attributes.id),
+      h("span", label),
+    );
     const box = $(`ed-group-${group}`);
     box.append(element);
     box.hidden = false;
@@ -264,8 +275,8 @@ export class EditMode extends EventTarget {
     const change = (id, label, title, key, onclick) =>
       this.button("change", { id, label, title, key, onclick });
     change("ed-delete", "Delete", "Delete the selection", "Delete", () => actions.remove());
-    change("ed-more", "+", "More tokens, or a higher weight", "+", () => actions.count(1));
-    change("ed-less", "−", "Fewer tokens, or a lower weight", "−", () => actions.count(-1));
+    change("ed-more", "More", "More tokens, or a higher weight", "+", () => actions.count(1));
+    change("ed-less", "Fewer", "Fewer tokens, or a lower weight", "−", () => actions.count(-1));
     change("ed-inhibit", "Inhibit", "Make the selected arcs inhibitor arcs, and back", "H", () =>
       actions.toggleInhibitor(),
     );
