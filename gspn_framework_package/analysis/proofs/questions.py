@@ -43,7 +43,7 @@ from gspn_framework_package.analysis.proofs.checker import (
     opposite,
 )
 from gspn_framework_package.analysis.proofs.conditions import condition_of, facts_of, formula_of
-from gspn_framework_package.analysis.proofs.returning import nearing, never_returns
+from gspn_framework_package.analysis.proofs.returning import nearing, never_returns, settling
 from gspn_framework_package.model.condition import Condition
 from gspn_framework_package.model.errors import LimitError, UsageError
 from gspn_framework_package.model.net import Marking, Net
@@ -336,6 +336,11 @@ class _OfPlan:
             return True
         return any(t in chosen for p in asking for _, chosen in self._rows.of(p))
 
+    def _by_themselves(self) -> List[int]:
+        """The transitions of the plan that no robot asks the policy for: they fire whenever they
+        are enabled."""
+        return [t for t in range(self._own) if not self._asking(t)]
+
     # -- the questions
 
     def _dead(self) -> Iterator[Formula]:
@@ -352,6 +357,10 @@ class _OfPlan:
         """A robot cannot leave its place now, and whether it cannot from then on."""
         over = self._not_over()
         ends = terminal_places(self._plan)
+        ended: List[Formula] = []
+        if self._until is None:  # what is going on can end first, unless the run ends before
+            steps = settling(self._net, self._by_themselves())
+            ended += [_disabled(self._net, t) for t in steps]
         stuck: List[Formula] = []
         tests: List[Callable[[Marking], bool]] = []
         for p in sorted(self._robots):
@@ -361,14 +370,15 @@ class _OfPlan:
             facts: List[Formula] = [Atom(((p, 1),), 1)]
             facts += [_disabled(self._net, t) for t in sorted(exits) if not self._asking(t)]
             facts += self._policy_moves_nobody(p, exits)
+            facts[1:] = [_without(fact, opposite(facts[0])) for fact in facts[1:]]
             stuck.append(All(tuple(facts)))
             leaves = partial(self._some_fire, exits)
-            tests.append(never_returns(self._net, (*over, *facts), leaves, self.fires))
+            tests.append(never_returns(self._net, (*over, *ended, *facts), leaves, self.fires))
 
         def is_bad(marking: Marking) -> bool:
             return any(test(marking) for test in tests) and not self._is_over(marking)
 
-        return (*over, Some(tuple(stuck))), is_bad
+        return (*over, *ended, Some(tuple(stuck))), is_bad
 
     def _some_fire(self, transitions: Collection[int], marking: Marking) -> bool:
         return any(t in transitions for t in self.fires(marking))
@@ -397,7 +407,8 @@ class _OfPlan:
             over = FALSE if until is None else formula_of(until)
             goal = formula_of(condition) if self._question.kind == RETURNS else Some((ended, over))
             fired = [t for t in range(self._own) if self._ever_fires(t)]
-            steps = frozenset(nearing(self._net, goal, self._robots, fired))
+            alone = self._by_themselves()
+            steps = frozenset(nearing(self._net, goal, self._robots, fired, alone))
             stays = tuple(fact for fact in self._nothing_fires(steps) if not _is_true(fact))
         except LimitError:
             return (), holds
@@ -552,6 +563,14 @@ class _RowsOfPlaces:
             None in cells or cells[0] == cells[1]
             for cells in zip(rows[first].counts, rows[second].counts)
         )
+
+
+def _without(formula: Formula, excluded: Formula) -> Formula:
+    """A formula, for where ``excluded`` does not hold."""
+    if isinstance(formula, Atom):
+        return FALSE if formula == excluded else formula
+    parts = tuple(_without(part, excluded) for part in formula.parts)
+    return Some(parts) if isinstance(formula, Some) else All(parts)
 
 
 def _is_true(formula: Formula) -> bool:

@@ -6,7 +6,8 @@ weighted sum of tokens smaller. A run that fires only these ends. So if some rea
 never come to the goal, then so can one in which the goal does not hold and none of these
 transitions can fire. That no such marking is reachable is a question like others, which a proof may
 answer at any size; whether one of them can come to the goal, a search from there tells. The weights
-used here are distances to the places in which the goal wants tokens.
+used here are distances to the places in which the goal wants tokens, and between markings of the
+same distance, weights by which the actions that are going on end one after another.
 """
 
 from __future__ import annotations
@@ -23,11 +24,17 @@ MOST_FOLLOWED = 20_000
 
 
 def nearing(
-    net: Net, goal: Formula, moving: Iterable[int], transitions: Sequence[int]
+    net: Net,
+    goal: Formula,
+    moving: Iterable[int],
+    transitions: Sequence[int],
+    by_themselves: Iterable[int] = (),
 ) -> List[int]:
-    """Those of the transitions whose firing brings tokens nearer to the goal.
+    """Those of the transitions whose firing brings tokens nearer to the goal, or settles what goes
+    on without changing their distance.
 
     :param moving: the places whose tokens have distances; others count 0.
+    :param by_themselves: the transitions on which nobody decides.
     """
     inside = set(moving)
     atoms = [atom for atom in _atoms(goal) if atom.least > 0 or any(w < 0 for _, w in atom.terms)]
@@ -49,11 +56,43 @@ def nearing(
                     distance[p] = distance[after] + 1
                     waiting.append(p)
     far = max(distance.values(), default=0) + 1
-    return [
-        t
-        for t in transitions
-        if sum(distance.get(p, far) * n for p, n in net.effect(t) if p in inside) < 0
-    ]
+    settled = frozenset(settling(net, by_themselves))
+    found = []
+    for t in transitions:
+        change = sum(distance.get(p, far) * n for p, n in net.effect(t) if p in inside)
+        if change < 0 or change == 0 and t in settled:
+            found.append(t)
+    return found
+
+
+def settling(net: Net, transitions: Iterable[int]) -> List[int]:
+    """Those of the transitions of which each firing makes a weighted sum of tokens smaller: all,
+    unless some lead around in a circle.
+
+    A place has a larger weight than all together that a firing puts elsewhere for its token.
+    """
+    effects = {t: net.effect(t) for t in transitions}
+    leaving: Dict[int, List[int]] = {}
+    for t, effect in effects.items():
+        for p, change in effect:
+            if change < 0:
+                leaving.setdefault(p, []).append(t)
+    weight: Dict[int, int] = {}
+    begun: Set[int] = set()
+    for first in leaving:
+        waiting = [first]
+        while waiting:
+            p = waiting[-1]
+            made = [[(o, n) for o, n in effects[t] if n > 0] for t in leaving.get(p, ())]
+            if p not in begun:
+                begun.add(p)
+                waiting += {o for put in made for o, _ in put if o not in begun}
+                continue
+            waiting.pop()
+            if p not in weight:
+                sums = [sum(weight.get(o, 0) * n for o, n in put) for put in made]
+                weight[p] = 1 + max(sums, default=-1)
+    return [t for t in effects if sum(weight.get(p, 0) * n for p, n in effects[t]) < 0]
 
 
 def never_returns(

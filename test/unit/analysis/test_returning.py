@@ -34,8 +34,11 @@ from gspn_framework_package.analysis.proofs.questions import (
     MarkingQuestion,
     problem_of,
 )
+from gspn_framework_package.analysis.proofs.returning import settling
 from gspn_framework_package.cli.main import main
+from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.formats.registry import write_net
+from gspn_framework_package.making.site_plan import build_site_plan
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.condition import parse_condition
@@ -189,6 +192,51 @@ def test_too_many_markings_follow(monkeypatch):
     answer = decide_question(net, question)
     assert answer.verdict == NOT_DECIDED
     assert "too many markings follow" in answer.steps[-1].outcome
+
+
+def test_what_settles_makes_a_sum_of_tokens_smaller():
+    """Two parts of a token, of which one goes around in a circle and the other does not."""
+    builder = NetBuilder("settling")
+    for name in ("whole", "left", "right", "end", "back"):
+        builder.place(name)
+    builder.exponential("part", inputs="whole", outputs=["left", "right", "right"])
+    builder.exponential("end_left", inputs="left", outputs="end")
+    builder.exponential("turn", inputs="right", outputs="back")
+    builder.exponential("return", inputs="back", outputs="right")
+    net = builder.build()
+    found = {net.transitions[t].name for t in settling(net, range(4))}
+    assert {"part", "end_left"} < found and found != {"part", "end_left", "turn", "return"}
+
+
+def hall(robots, folder, **more):
+    """Robots with batteries on a ring of nodes, who wait while no task is due."""
+    nodes = {"n%d" % i: [4 * i, 0] for i in range(8)}
+    edges = [["n%d" % i, "n%d" % ((i + 1) % 8)] for i in range(8)]
+    tasks = {
+        "plan": "hall",
+        "start": ["n0", "n4"],
+        "tasks": {"Work": {"at": ["n2", "n7"], "seconds": 9, "again_after": 60}},
+        "battery": {"full": 0.1, "low": 0.1},
+        "docks": {"n0": 1, "n4": 1},
+        **more,
+    }
+    for name, data in (("map.yaml", {"nodes": nodes, "edges": edges}), ("tasks.yaml", tasks)):
+        (folder / name).write_text(json.dumps(data), "utf-8")
+    made = build_site_plan(str(folder / "map.yaml"), str(folder / "tasks.yaml"), robots)
+    made.write(str(folder / "plan"))
+    return read_plan(str(folder / "plan"))
+
+
+def test_robots_that_wait_for_tasks_do_not_wait_for_ever(tmp_path):
+    """Nobody moves while no task is due. But all actions end, then all tasks are due, and everybody
+    can move."""
+    plan = hall(20, tmp_path)
+    due = " and ".join(name + " = 1" for name in plan.net.place_index if name.startswith("Due_"))
+    for question in (MarkingQuestion(CAN_MOVE), MarkingQuestion(RETURNS, due)):
+        for losses in (False, True):
+            question = question._replace(losses=losses)
+            answer = decide_question(plan, question, limit=0)
+            assert answer.verdict == PROVEN and answer.decided_by == "structure"
 
 
 def ending(robots, stuck):
