@@ -26,9 +26,11 @@ from gspn_framework_package.analysis.monitoring.prediction import (
 from gspn_framework_package.analysis.monitoring.streams import PACES
 from gspn_framework_package.analysis.watch import Progress, Watch
 from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.history_options import HISTORY_OPTIONS, read_mapping
 from gspn_framework_package.cli.limits import ON_OPTION
 from gspn_framework_package.cli.net_input import print_notes
-from gspn_framework_package.cli.options import Argument, Arguments
+from gspn_framework_package.cli.on_history import history_in_arguments, print_history
+from gspn_framework_package.cli.options import Argument, Arguments, repeated
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.execution.attempts import AttemptFollower
 from gspn_framework_package.execution.event_log import LogFile, log_files
@@ -36,7 +38,7 @@ from gspn_framework_package.execution.logged_attempts import gather
 from gspn_framework_package.execution.observation import RunObserver
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.attempt import Attempt
-from gspn_framework_package.model.errors import LogError
+from gspn_framework_package.model.errors import LogError, UsageError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import PlanTiming
 
@@ -62,6 +64,14 @@ OPTIONS: Arguments = {
     Argument("logs", "LOG", nargs="+"): (
         "event logs of one or several runs of the plan, or folders of them"
     ),
+    "--replay": (
+        "play the recorded runs on PLAN, which may be another plan than theirs, and compare it "
+        "with the plan that they followed: the same tasks, durations, outcomes, failures and losses"
+    ),
+    repeated("--map", "OLD=NEW"): (
+        "with --replay: a place or transition of the recorded net and its name in PLAN"
+    ),
+    **HISTORY_OPTIONS,
     Argument("--alarm-every", "TIME", _time, ALARM_EVERY): (
         "mean time between false alarms of all streams together: a number with s, min, h or d "
         "(default 30d)"
@@ -77,7 +87,10 @@ OPTIONS: Arguments = {
     "--json": "print the result as one JSON object",
 }
 
-EPILOG = "Exit codes: 0 the run matches the prediction, 1 it deviates from the plan, 2 wrong input."
+EPILOG = (
+    "Exit codes: 0 the run matches the prediction, 1 it deviates from the plan, 2 wrong input. "
+    "With --replay: 0 PLAN is not worse than the recorded plan, 1 it is."
+)
 
 
 class _Run(NamedTuple):
@@ -136,6 +149,14 @@ def run(args: argparse.Namespace) -> int:
     """Compare runs with the prediction, and print the result."""
     plan = read_plan(args.plan)
     with open_executor(args.on) as executor, ProgressLine() as progress:
+        if args.replay:
+            mapping = read_mapping(args.map)
+            return print_history(
+                history_in_arguments(args, plan, args.logs, mapping, progress, executor), args.json
+            )
+        for option in ("map", "reward"):
+            if getattr(args, option):
+                raise UsageError("--%s is for --replay" % option)
         result = compare_logs(
             plan,
             args.logs,

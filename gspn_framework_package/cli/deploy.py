@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from typing import Any, Dict, List, Tuple
+from typing import TYPE_CHECKING, Any, Dict, List, Tuple
 
+from gspn_framework_package.cli.history_options import HISTORY_OPTIONS, read_mapping
+from gspn_framework_package.cli.limits import ON_OPTION
 from gspn_framework_package.cli.options import (
     MODULES_OPTION,
     Argument,
@@ -16,6 +18,9 @@ from gspn_framework_package.cli.options import (
 from gspn_framework_package.cli.team_client import TEAM_OPTIONS, team_client
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
+
+if TYPE_CHECKING:
+    from gspn_framework_package.cli.on_history import HistoryComparison
 
 OPTIONS: Arguments = {
     Argument("plan", "NEW_PLAN"): "the plan that the team should follow",
@@ -30,6 +35,13 @@ OPTIONS: Arguments = {
     Argument("--wait", "S", float, 30.0): (
         "seconds that the robots have to check the plan (default %(default)g)"
     ),
+    Argument("--replay", "HISTORY", nargs="+"): (
+        "first play recorded runs on NEW_PLAN, and do not deploy it if it is worse than the plan "
+        "that they followed: event logs, folders of them, or stores of a fleet's history"
+    ),
+    **HISTORY_OPTIONS,
+    **ON_OPTION,
+    "--force": "with --replay: deploy the plan even if it is worse",
     "--stage-only": "have the robots check the plan, and leave it staged",
     Argument("--standalone", "PLAN", nargs="?", const=""): (
         "deploy to one of your 'gspn run' processes on this machine; if there are several, name "
@@ -41,7 +53,7 @@ OPTIONS: Arguments = {
 
 EPILOG = (
     "Exit codes: 0 the team follows the plan, 1 it continues as before, for the reason in the "
-    "output, 2 not a plan."
+    "output (with --replay: also because the plan is worse), 2 not a plan."
 )
 
 
@@ -57,8 +69,14 @@ def run(args: argparse.Namespace) -> int:
     plan = read_plan(args.plan)
     if args.standalone is not None and args.stage_only:
         raise UsageError("--stage-only needs a team: a run without ROS adopts a plan or refuses it")
+    more: Dict[str, Any] = {}
+    if args.replay:
+        found = _on_history(args, plan, mapping)
+        more["replay"] = found.to_json()
+        if found.worse and not args.force:
+            return _told(args, False, "%s; --force deploys it anyway" % found.verdict, **more)
     if args.standalone is not None:
-        return _into_run(args, plan, mapping)  # because its own verdict decides
+        return _into_run(args, plan, mapping, more)  # because its own verdict decides
     obey(check_all(plan), plan)
     from gspn_framework_package.team.deploy_team import deploy_to_team
 
@@ -73,12 +91,28 @@ def run(args: argparse.Namespace) -> int:
     entry = stage_of(plan, mapping, _folder(args, plan))
     outcome = deploy_to_team(order, statuses, entry, stage_only=args.stage_only, wait=args.wait)
     return _told(
-        args, outcome.done, outcome.message, stage=outcome.stage, votes=dict(outcome.votes)
+        args, outcome.done, outcome.message, stage=outcome.stage, votes=dict(outcome.votes), **more
     )
 
 
-def _into_run(args: argparse.Namespace, plan: Plan, mapping: Dict[str, str]) -> int:
-    """Have a run without ROS switch to the plan."""
+def _on_history(args: argparse.Namespace, plan: Plan, mapping: Dict[str, str]) -> HistoryComparison:
+    """Play the recorded runs on the plan."""
+    from gspn_framework_package.analysis.executors import open_executor
+    from gspn_framework_package.cli.on_history import history_in_arguments, require_aim
+    from gspn_framework_package.cli.progress import ProgressLine
+
+    require_aim(plan, args.reward)
+    with open_executor(args.on) as executor, ProgressLine() as progress:
+        found = history_in_arguments(args, plan, args.replay, mapping, progress, executor)
+    if not args.json:
+        print("\n".join(found.lines()))
+    return found
+
+
+def _into_run(
+    args: argparse.Namespace, plan: Plan, mapping: Dict[str, str], more: Dict[str, Any]
+) -> int:
+    """Have a run without ROS switch to the plan. ``more``: what else to tell with ``--json``."""
     from gspn_framework_package.execution import control_socket
     from gspn_framework_package.formats.plan_file import PLAN_FILE
 
@@ -91,7 +125,7 @@ def _into_run(args: argparse.Namespace, plan: Plan, mapping: Dict[str, str]) -> 
         os.path.abspath(plan.file or args.plan), mapping, folder, args.wait
     )
     answer = control_socket.ask_to_deploy(run, request)
-    return _told(args, answer["done"], answer["message"], process=run.process)
+    return _told(args, answer["done"], answer["message"], process=run.process, **more)
 
 
 def _told(args: argparse.Namespace, done: bool, message: str, **more: Any) -> int:
@@ -101,19 +135,6 @@ def _told(args: argparse.Namespace, done: bool, message: str, **more: Any) -> in
     else:
         print("%s: %s" % ("done" if done else "not done", message))
     return 0 if done else 1
-
-
-def read_mapping(pairs: List[str]) -> Dict[str, str]:
-    """Parse ``--map OLD=NEW`` options. :raises UsageError: an option has another form, or
-    contradicts another one."""
-    mapping: Dict[str, str] = {}
-    for pair in pairs:
-        old, sign, new = pair.partition("=")
-        if not old or not sign:
-            raise UsageError("--map %s is not of the form OLD=NEW" % pair)
-        if mapping.setdefault(old, new) != new:
-            raise UsageError("--map gives '%s' two names" % old)
-    return mapping
 
 
 def _folder(args: argparse.Namespace, plan: Plan) -> str:
