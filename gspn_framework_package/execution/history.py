@@ -17,7 +17,6 @@ from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tup
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.attempts import AttemptFollower
 from gspn_framework_package.execution.event_log import LogFile
-from gspn_framework_package.execution.log_entries import NOTHING
 from gspn_framework_package.execution.logged_attempts import gather
 from gspn_framework_package.execution.replayer import Replayed
 from gspn_framework_package.execution.team_state import TeamState
@@ -69,7 +68,7 @@ class RecordedRun(NamedTuple):
     :ivar roster: (robot, place) at the beginning.
     :ivar resources: resource place -> tokens, if the log begins in the middle of the run.
     :ivar actions: (robot, place) -> the attempts in their order.
-    :ivar arrivals: (seconds after the beginning, entry) of what came at its time.
+    :ivar arrivals: (seconds after the beginning, entry as JSON) of what came at its time.
     :ivar events: (robot, transition) -> the exposures (s) between occurrences of the event, each
         with the data of the event.
     :ivar environment: transition -> the exposures (s) between its firings.
@@ -88,7 +87,7 @@ class RecordedRun(NamedTuple):
     roster: Tuple[Tuple[str, str], ...]
     resources: Mapping[str, int]
     actions: Mapping[Tuple[str, str], Sequence[RecordedAction]]
-    arrivals: Sequence[Tuple[float, log_entries.Entry]]
+    arrivals: Sequence[Tuple[float, Dict[str, Any]]]
     events: Mapping[Tuple[str, str], Sequence[Tuple[float, Mapping[str, Any]]]]
     environment: Mapping[str, Sequence[float]]
     firings: Mapping[str, int]
@@ -157,7 +156,7 @@ class _Reader:
         self._seed = plan.seed
         self._roster: List[Tuple[str, str]] = []
         self._resources: Dict[str, int] = {}
-        self._arrivals: List[Tuple[float, log_entries.Entry]] = []
+        self._arrivals: List[Tuple[float, Dict[str, Any]]] = []
         self._visits: Dict[str, Tuple[Tuple[int, int], int, float]] = {}
         """Robot -> its visit, the place, since when."""
         self._exposed: Dict[Tuple[str, str], float] = {}
@@ -204,7 +203,7 @@ class _Reader:
             attempts = [*self._attempts, *self._follower.running(self._follower.now)]
         actions: Dict[Tuple[str, str], List[RecordedAction]] = {}
         for a in sorted(attempts, key=lambda a: (a.robot, a.visit, a.attempt)):
-            data = NOTHING if a.failed else self._data.get((a.robot, a.visit), NOTHING)
+            data = {} if a.failed else dict(self._data.get((a.robot, a.visit), {}))
             one = RecordedAction(a.duration, a.completed, a.result, a.failed, data)
             actions.setdefault((a.robot, a.place), []).append(one)
         notes = []
@@ -257,7 +256,7 @@ class _Reader:
                 self._visits[entry.robot] = (*known[:2], now)
                 key = entry.robot, entry.transition
                 if key in self._exposed:
-                    told = self._exposed.pop(key), entry.cause
+                    told = self._exposed.pop(key), dict(entry.cause)
                     self._events.setdefault(key, []).append(told)
         elif isinstance(entry, log_entries.Fire) and self._is_simulated(entry.transition):
             t = self._plan.net.transition_index[entry.transition]
@@ -268,7 +267,7 @@ class _Reader:
         elif isinstance(entry, _AT_THEIR_TIME) and not (
             isinstance(entry, log_entries.CancelTask) and entry.late
         ):
-            self._arrivals.append((now - self._began, entry))
+            self._arrivals.append((now - self._began, log_entries.to_json(entry)))
 
     def _is_simulated(self, transition: str) -> bool:
         return self._plan.net.transition_index.get(transition) in self._unfired

@@ -107,7 +107,9 @@ class HistoryRun(VirtualRun):
         )
         self._recorded, self._names = recorded, names
         self._unplayed = {key: iter(actions) for key, actions in recorded.actions.items()}
-        self._arrivals = list(reversed(recorded.arrivals))
+        self._arrivals = [
+            (when, log_entries.from_json(entry)) for when, entry in reversed(recorded.arrivals)
+        ]
         self._unseen = {key: iter(events) for key, events in recorded.events.items()}
         self._coming: Dict[str, Dict[str, Tuple[float, Mapping[str, Any]]]] = {}
         """Robot -> event of its visit -> when it comes, and its data."""

@@ -274,3 +274,12 @@ def test_a_store_of_the_history(
     capsys.readouterr()
     code, found = compare(roads[0], store, *REWARD)
     assert (code, found["runs"]) == (0, 1)
+
+
+def test_workers_find_the_same(compare: Compare, tmp_path: Path) -> None:
+    plan, logs = _write(tmp_path, "shop", SHOP), []
+    for seed in (1, 2):
+        logs.append(_record(tmp_path, plan, seconds=100.0, seed=seed))
+    local = compare(plan, *logs)
+    assert compare(plan, *logs, "--on", "processes:2") == local
+    assert local[1]["runs"] == 2
