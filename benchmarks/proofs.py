@@ -20,10 +20,12 @@ from gspn_framework_package.analysis.proofs.checker import check_certificate
 from gspn_framework_package.analysis.proofs.ladder import decide_question
 from gspn_framework_package.analysis.proofs.questions import (
     APART,
+    CAN_MOVE,
     DEAD,
     FIRES,
     NEVER,
     NO_ROW,
+    RETURNS,
     MarkingQuestion,
     problem_of,
 )
@@ -49,6 +51,7 @@ def questions(plan: Plan) -> Iterator[Tuple[str, MarkingQuestion]]:
     charging = [p for p in plan.net.place_index if p.startswith("Charge_" + dock[10:])]
     drives = next(p for p in plan.net.place_index if p.startswith("Drive_"))
     ends = drives[6:].rsplit("_", 1)[0]
+    all_due = " and ".join("'%s' = 1" % p for p in plan.net.place_index if p.startswith("Due_"))
     for losses in (False, True):
         more = " (losses)" if losses else ""
         yield "dead marking" + more, MarkingQuestion(DEAD, "", losses)
@@ -57,6 +60,8 @@ def questions(plan: Plan) -> Iterator[Tuple[str, MarkingQuestion]]:
         over = "%s >= 2" % " + ".join(["'%s'" % place for place in charging])
         yield "two in a dock" + more, MarkingQuestion(NEVER, over, losses)
         yield "free edge twice" + more, MarkingQuestion(APART, "Free_%s*" % ends[:4], losses)
+        yield "moves" + more, MarkingQuestion(CAN_MOVE, "", losses)
+        yield "all tasks due again" + more, MarkingQuestion(RETURNS, all_due, losses)
     yield "two in a node", MarkingQuestion(APART, "At_*")
     yield "never fires", MarkingQuestion(FIRES, plan.net.transitions[-1].name)
 
