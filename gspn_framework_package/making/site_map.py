@@ -10,7 +10,7 @@ from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Set
 
 from gspn_framework_package.formats.json_file import KeyOrIndex
 from gspn_framework_package.formats.source import read_bytes
-from gspn_framework_package.formats.yaml_file import YamlDocument
+from gspn_framework_package.formats.yaml_file import YamlDocument, is_finite_number
 from gspn_framework_package.making.map_definitions import MapDefinitions
 from gspn_framework_package.making.restrictions import Restriction
 from gspn_framework_package.model.errors import ExpressionError, InputError
@@ -452,10 +452,8 @@ class _Reader:
         return str(name)
 
     def _number(self, value: Any, where: List[KeyOrIndex], above: Optional[float] = None) -> float:
-        if isinstance(value, (int, float)) and not isinstance(value, bool):
-            number = float(value)
-            if math.isfinite(number) and abs(number) < 1e9 and (above is None or number > above):
-                return number
+        if is_finite_number(value) and abs(value) < 1e9 and (above is None or value > above):
+            return float(value)
         raise self._document.error(
             "'%s' is not a number%s" % (value, "" if above is None else " above %g" % above), where
         )

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import re
 from typing import List, Union
 
 import rospy
 
+from gspn_framework_package.formats.yaml_file import is_finite_number
 from gspn_framework_package.model.errors import InputError
 
 
@@ -40,11 +40,7 @@ def robot_names(value: Union[int, str, List[str]]) -> List[str]:
 def number_parameter(parameter: str, default: float) -> float:
     """A private parameter that is a number, 0 or more. :raises InputError: it is anything else."""
     value = rospy.get_param("~" + parameter, default)
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, (int, float))
-        or not 0.0 <= value < math.inf
-    ):
+    if not is_finite_number(value) or value < 0.0:
         raise InputError(
             "%r is not a number of at least 0" % (value,), element="parameter ~" + parameter
         )

@@ -170,6 +170,7 @@ BAD_MAPS = {
     "a: 1\n": ("there are no 'nodes'", 1),
     "nodes: {a: [0, 0]}\nedges:\n- [a, b]\n": ("there is no node 'b'", 3),
     "nodes: {a: [0, 0], b: [0, .nan]}\nedges: []\n": ("is not a number", 1),
+    "nodes: {a: [0, 0], b: [0, 1%s]}\nedges: []\n" % (400 * "0"): ("is not a number", 1),
     "nodes: {a: [0, 0]}\nedges:\n- {from: a, to: a, lenght: 3}\n": ("an edge has no 'lenght'", 3),
     "nodes:\n- node: {name: a}\n": ("has no pose", 2),
     "nodes:\n- node:\n    name: a\n    pose: {position: {x: 0, y: up}}\n": ("not a number", 4),
