@@ -29,7 +29,6 @@ from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.history_options import HISTORY_OPTIONS, read_mapping
 from gspn_framework_package.cli.limits import ON_OPTION
 from gspn_framework_package.cli.net_input import print_notes
-from gspn_framework_package.cli.on_history import history_in_arguments, print_history
 from gspn_framework_package.cli.options import Argument, Arguments, repeated
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.execution.attempts import AttemptFollower
@@ -150,6 +149,9 @@ def run(args: argparse.Namespace) -> int:
     plan = read_plan(args.plan)
     with open_executor(args.on) as executor, ProgressLine() as progress:
         if args.replay:
+            # here, because other comparisons need none of it
+            from gspn_framework_package.cli.on_history import history_in_arguments, print_history
+
             mapping = read_mapping(args.map)
             return print_history(
                 history_in_arguments(args, plan, args.logs, mapping, progress, executor), args.json
