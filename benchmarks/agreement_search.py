@@ -10,12 +10,12 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import sys
 import time
 from typing import List, Optional
 
 from agreement.mutants import MUTANTS
 from agreement.search import SCOPES, Found, Scope, Search
+from benchmarks.command import run_command
 from gspn_framework_package.model.errors import UsageError
 
 PART = 200_000
@@ -119,8 +119,4 @@ def names() -> str:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except UsageError as error:
-        print(error, file=sys.stderr)
-        sys.exit(error.exit_code)
+    run_command("agreement_search", main)

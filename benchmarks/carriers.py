@@ -21,13 +21,14 @@ import sys
 import time
 from typing import Any, Dict, List, Optional, Sequence
 
+from benchmarks.command import run_command
 from benchmarks.harness.processes import end_cleanly_on_signal
 from benchmarks.harness.team import RUN, AgentTeam, percentile_99, why_no_zenoh
 from benchmarks.latency import plan_of
 from benchmarks.machine import describe_machine, machine_line, table
 from gspn_framework_package.execution.agreement.interface import Send
 from gspn_framework_package.execution.agreement.messages import PROTOCOL_VERSION
-from gspn_framework_package.model.errors import ExecutionError, GspnError, UsageError
+from gspn_framework_package.model.errors import ExecutionError, UsageError
 from gspn_framework_package.model.plan import Plan, Synchronisation
 from gspn_framework_package.team.carrier import Handlers, Operator, OperatorAnswer
 from gspn_framework_package.team.keys import NewMember, read_keys
@@ -239,8 +240,4 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except GspnError as error:
-        print("carriers: error: %s" % error, file=sys.stderr)
-        sys.exit(error.exit_code)
+    run_command("carriers", main)

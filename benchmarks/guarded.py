@@ -19,13 +19,13 @@ import sys
 import time
 from typing import Any, Dict, Iterator, List, Optional, Sequence
 
+from benchmarks.command import run_command
 from benchmarks.harness.master import Master, need_ros
 from benchmarks.harness.processes import end_cleanly_on_signal
 from benchmarks.harness.team import RUN
 from benchmarks.latency import measure, plan_of
 from benchmarks.machine import describe_machine, machine_line, table
 from gspn_framework_package.execution.agreement.messages import PROTOCOL_VERSION
-from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.plan import Synchronisation
 from gspn_framework_package.team.seal import make_team_key
 
@@ -127,8 +127,4 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except GspnError as error:
-        print("guarded: error: %s" % error, file=sys.stderr)
-        sys.exit(error.exit_code)
+    run_command("guarded", main)

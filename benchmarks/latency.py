@@ -28,12 +28,12 @@ import time
 from dataclasses import replace
 from typing import Any, Dict, List, Optional, Sequence
 
+from benchmarks.command import run_command
 from benchmarks.harness.master import Master, need_ros
 from benchmarks.harness.processes import end_cleanly_on_signal
 from benchmarks.harness.team import LaunchedTeam, NodeTeam
 from benchmarks.machine import describe_machine, machine_line, table
 from benchmarks.plans import BRIEF, INSTANT, ring_plan, tokens_plan
-from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.plan import Plan, Synchronisation
 from gspn_framework_package.team.log_file import SYNC_PERIOD_NAME
 
@@ -182,8 +182,4 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except GspnError as error:
-        print("latency: error: %s" % error, file=sys.stderr)
-        sys.exit(error.exit_code)
+    run_command("latency", main)

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from typing import List, Optional
 
 from agreement.mutants import MUTANTS, Caught, hunt
+from benchmarks.command import run_command
 from gspn_framework_package.model.errors import UsageError
 
 
@@ -58,8 +58,4 @@ def main(arguments: Optional[List[str]] = None) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except UsageError as error:
-        print(error, file=sys.stderr)
-        sys.exit(error.exit_code)
+    run_command("mutants", main)

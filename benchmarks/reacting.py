@@ -29,6 +29,7 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 import psutil
 
+from benchmarks.command import run_command
 from benchmarks.faults.team import FaultyTeam
 from benchmarks.harness.master import Master, need_ros
 from benchmarks.harness.processes import cpu_seconds, end_cleanly_on_signal
@@ -39,7 +40,7 @@ from benchmarks.reacting_tasks import COLUMNS as TASK_COLUMNS
 from benchmarks.reacting_tasks import EVICT_AFTER, FAULTS, measure_tasks, publisher
 from gspn_framework_package.model.action import EXEC_GSPN, ServerAction
 from gspn_framework_package.model.builder import NetBuilder
-from gspn_framework_package.model.errors import ExecutionError, GspnError, UsageError
+from gspn_framework_package.model.errors import ExecutionError, UsageError
 from gspn_framework_package.model.event import EventSource
 from gspn_framework_package.model.plan import Plan, RobotSpec, Synchronisation
 
@@ -298,8 +299,4 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except GspnError as error:
-        print("reacting: error: %s" % error, file=sys.stderr)
-        sys.exit(error.exit_code)
+    run_command("reacting", main)
