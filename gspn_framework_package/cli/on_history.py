@@ -22,13 +22,13 @@ from gspn_framework_package.analysis.watch import Progress, Watch
 from gspn_framework_package.cli.aims import pairs
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.execution.event_log import log_files
-from gspn_framework_package.execution.history import RecordedRun, read_run, runs_of_logs
-from gspn_framework_package.execution.history_run import (
-    HistoryRun,
-    PlanNames,
-    PlayedHistory,
+from gspn_framework_package.execution.history import (
+    RecordedRun,
     attempts_of,
+    read_run,
+    runs_of_logs,
 )
+from gspn_framework_package.execution.history_run import HistoryRun, PlanNames, PlayedHistory
 from gspn_framework_package.execution.net_difference import net_difference
 from gspn_framework_package.fleet.store import Store
 from gspn_framework_package.model.attempt import EventCount
@@ -189,12 +189,7 @@ def on_history(
         differs = net_difference(runs[0].plan, run.plan)
         if differs:
             raise LogError("the nets of %s and %s differ: %s" % (runs[0].name, run.name, differs))
-    counts: Dict[str, EventCount] = {}
-    for run in runs:
-        for name, event in run.counts.items():
-            known = counts.get(name, EventCount(0, 0.0))
-            firings, exposure = known.firings + event.firings, known.exposure + event.exposure
-            counts[name] = EventCount(firings, exposure)
+    counts = EventCount.summed(run.counts for run in runs)
     report = fit_plan(runs[0].plan, attempts_of(runs), counts, samples=0, on=on)
     shared = _Shared(new, mapping, report)
     playing = Workload(_same, _play, shared)

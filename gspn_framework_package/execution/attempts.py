@@ -391,9 +391,8 @@ class AttemptFollower:
                 continue
             if state.paused:
                 continue
-            rate = net.transitions[t].number
-            if rate > 0:
-                busy = net.effective_rate(state.marking, t) / rate
+            if net.transitions[t].number > 0:
+                busy = net.busy_servers(state.marking, t)
                 self._counted[t] = firings, exposure + busy * seconds
 
     def _exposed(self, state: TeamState, t: int) -> int:

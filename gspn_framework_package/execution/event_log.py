@@ -484,7 +484,7 @@ class LogClock:
 
     def read(self, record: Record) -> float:
         """The time of the next record (s)."""
-        mono, wall = _seconds(record.get("mono")), _seconds(record.get("wall"))
+        mono, wall = clock_reading(record, "mono"), clock_reading(record, "wall")
         host = str(record.get("host") or self._host)
         if self._t is None:
             self._t = mono if mono is not None else wall or 0.0
@@ -505,5 +505,8 @@ class LogClock:
         return [self._t, self._mono, self._wall, self._host]
 
 
-def _seconds(value: object) -> Optional[float]:
+def clock_reading(record: Record, clock: str) -> Optional[float]:
+    """Return what a clock (``wall`` or ``mono``) showed when a record was written; None if that is
+    not known."""
+    value = record.get(clock)
     return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None

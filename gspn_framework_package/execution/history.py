@@ -16,13 +16,14 @@ from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tup
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.attempts import AttemptFollower
-from gspn_framework_package.execution.event_log import LogFile
+from gspn_framework_package.execution.event_log import LogFile, clock_reading
 from gspn_framework_package.execution.logged_attempts import gather
 from gspn_framework_package.execution.replayer import Replayed
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import Step, TokenGame, robots_in
 from gspn_framework_package.model.attempt import Attempt, EventCount
 from gspn_framework_package.model.errors import LogError
+from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 
 _AT_THEIR_TIME = (
@@ -161,7 +162,7 @@ class _Reader:
         """Robot -> its visit, the place, since when."""
         self._exposed: Dict[Tuple[str, str], float] = {}
         self._events: Dict[Tuple[str, str], List[Tuple[float, Mapping[str, Any]]]] = {}
-        self._busy: List[Tuple[int, float]] = []
+        self._busy: List[Tuple[int, int]] = []
         self._unfired: Dict[int, float] = dict.fromkeys(self._environment, 0.0)
         self._fired: Dict[str, List[float]] = {}
         self._firings = {t.name: 0 for t in plan.net.transitions}
@@ -178,8 +179,8 @@ class _Reader:
         if self._began is None:
             if not step.state.robots:
                 return
-            wall = record.get("wall")
-            self._wall = float(wall) if isinstance(wall, (int, float)) else now
+            wall = clock_reading(record, "wall")
+            self._wall = now if wall is None else wall
             self._begin(step, now)
         assert self._began is not None
         for t, busy in self._busy:
@@ -286,7 +287,7 @@ class _Reader:
                 self._visits.pop(name, None)
                 if robot is not None and visit is not None and not robot.phase.gone:
                     self._visits[name] = visit, robot.place, now
-        self._busy = [(t, _busy_servers(self._plan, state, t)) for t in self._environment]
+        self._busy = [(t, busy_servers(self._plan.net, state, t)) for t in self._environment]
 
     def _leave(self, name: str, now: float) -> None:
         """Count the time of a robot's visit for the events that could have occurred in it."""
@@ -303,9 +304,14 @@ def _comes_by_chance(plan: Plan, transition: str) -> bool:
     return plan.events[transition].comes_after is None
 
 
-def _busy_servers(plan: Plan, state: TeamState, t: int) -> float:
-    """How many servers of a transition of the environment are busy."""
-    rate = plan.net.transitions[t].number
-    if state.paused or state.ended is not None or not rate > 0:
-        return 0.0
-    return plan.net.effective_rate(state.marking, t) / rate
+def busy_servers(net: Net, state: TeamState, t: int) -> int:
+    """How many servers of a transition of the environment are busy: none in a pause, and none at
+    the end."""
+    if state.paused or state.ended is not None or not net.transitions[t].number > 0:
+        return 0
+    return net.busy_servers(state.marking, t)
+
+
+def attempts_of(runs: Sequence[RecordedRun]) -> List[Attempt]:
+    """The attempts of some runs, numbered as if each had one log."""
+    return [a._replace(log=number) for number, run in enumerate(runs) for a in run.attempts]

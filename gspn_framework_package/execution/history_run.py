@@ -17,12 +17,11 @@ from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tup
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.environment import Environment
 from gspn_framework_package.execution.firing import StartAction
-from gspn_framework_package.execution.history import RecordedAction, RecordedRun
+from gspn_framework_package.execution.history import RecordedAction, RecordedRun, busy_servers
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import RobotState, TeamState
 from gspn_framework_package.execution.token_game import Step
 from gspn_framework_package.execution.virtual_time import VirtualRun
-from gspn_framework_package.model.attempt import Attempt
 from gspn_framework_package.model.outcome import FAILURES, Outcome
 from gspn_framework_package.model.plan import Plan, RobotSpec
 
@@ -271,7 +270,8 @@ class HistoryRun(VirtualRun):
         t = net.transition_index.get(name)
         if isinstance(entry, log_entries.Fire):
             if t is None or not net.is_enabled(self.state.marking, t):
-                self._refuse("%s is fired, and %s" % (name, _unknown(t) or "is not enabled"))
+                why = "the plan does not have it" if t is None else "is not enabled"
+                self._refuse("%s is fired, and %s" % (name, why))
                 return
         elif t is None or name not in self.plan.submissions:
             self._refuse("a task comes through %s, which takes no tasks" % name)
@@ -337,7 +337,7 @@ class _RecordedEnvironment(Environment):
         told = {names.new(name): iter(exposures) for name, exposures in recorded.items()}
         self._told = {t: told.get(net.transitions[t].name, iter(())) for t in self._transitions}
         self._left = {t: self._next(t) for t in self._transitions}
-        self._busy: Dict[int, float] = {}
+        self._busy: Dict[int, int] = {}
         self._since = 0.0
         self._state: Optional[Tuple[int, bool]] = None
 
@@ -356,13 +356,9 @@ class _RecordedEnvironment(Environment):
         if self._state != (state.version, state.paused):
             self._advance(now)
             self._state = state.version, state.paused
-            self._busy = {}
-            net = self._game.net
-            for t in self._transitions:
-                rate = net.transitions[t].number
-                if rate > 0 and not state.paused and net.is_enabled(state.marking, t):
-                    self._busy[t] = net.effective_rate(state.marking, t) / rate
-            waits = [self._left[t] / busy for t, busy in self._busy.items() if busy > 0]
+            busy = [(t, busy_servers(self._game.net, state, t)) for t in self._transitions]
+            self._busy = {t: servers for t, servers in busy if servers}
+            waits = [self._left[t] / servers for t, servers in self._busy.items()]
             self._time = now + min(waits) if waits else None
         return None if state.ended is not None else self._time
 
@@ -397,12 +393,3 @@ def _beginning(plan: Plan, recorded: RecordedRun, names: PlanNames) -> Plan:
         return team
     marking = {**team.net.named(team.net.initial_marking), **kept}
     return replace(team, net=team.net.with_marking(marking))
-
-
-def _unknown(t: Optional[int]) -> str:
-    return "the plan does not have it" if t is None else ""
-
-
-def attempts_of(runs: Sequence[RecordedRun]) -> List[Attempt]:
-    """The attempts of some runs, numbered as if each had one log."""
-    return [a._replace(log=number) for number, run in enumerate(runs) for a in run.attempts]

@@ -9,6 +9,7 @@ from typing import (
     Iterable,
     Iterator,
     List,
+    Mapping,
     NamedTuple,
     Optional,
     Sequence,
@@ -108,20 +109,16 @@ def gather(
             notes.append("the last line of %s was cut off; it is left out" % path)
         logs.append(_Log(number, file, len(hashes), hashes))
     attempts: List[Attempt] = []
-    events: Dict[str, EventCount] = {}
+    counts: List[Mapping[str, EventCount]] = []
     runs = _runs(logs, notes)
     for run in runs:
         found, counted = _read_run(run, count, notes)
         attempts += found
-        for name, event in counted.items():
-            known = events.get(name, EventCount(0, 0.0))
-            events[name] = EventCount(
-                known.firings + event.firings, known.exposure + event.exposure
-            )
+        counts.append(counted)
     return Gathered(
         logs[0].file.plan if plan is None else plan,
         attempts,
-        events,
+        EventCount.summed(counts),
         names,
         tuple(
             tuple(log.number for log in sorted(run, key=lambda log: -log.length)) for run in runs

@@ -18,6 +18,7 @@ from gspn_framework_package.execution.event_log import (
     LogFile,
     LogPosition,
     Record,
+    clock_reading,
     log_files,
 )
 from gspn_framework_package.execution.logged_attempts import ReadingProgress
@@ -84,8 +85,7 @@ class _Reader:
         t = self._clock.read(record)
         self.seconds = t - self._last if self._last is not None else 0.0
         self._last = t
-        wall = record.get("wall")
-        wall = float(wall) if isinstance(wall, (int, float)) else None
+        wall = clock_reading(record, "wall")
         going = self.at + self.seconds if self.at is not None else wall or 0.0
         was_set = wall is not None and abs(wall - going) > CLOCK_WAS_SET
         self.jumped = self.at is None or was_set or record["kind"] == "life"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Dict, Iterable, Mapping, NamedTuple
 
 
 class Attempt(NamedTuple):
@@ -44,3 +44,13 @@ class EventCount(NamedTuple):
 
     firings: int
     exposure: float
+
+    @classmethod
+    def summed(cls, counts: Iterable[Mapping[str, EventCount]]) -> Dict[str, EventCount]:
+        """The sums over runs of the counts of each transition."""
+        found: Dict[str, EventCount] = {}
+        for run in counts:
+            for name, event in run.items():
+                known = found.get(name, cls(0, 0.0))
+                found[name] = cls(known.firings + event.firings, known.exposure + event.exposure)
+        return found

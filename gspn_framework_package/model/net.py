@@ -335,11 +335,13 @@ class Net:
     def effective_rate(self, marking: Sequence[int], t: int) -> float:
         """Return the rate (1/s) at which the exponential transition ``t`` fires in ``marking``: its
         rate times the number of its busy servers."""
-        transition = self.transitions[t]
-        degree = self.enabling_degree(marking, t)
-        if transition.servers is not None:
-            degree = min(degree, transition.servers)
-        return self.value(marking, t) * degree if degree else 0.0
+        busy = self.busy_servers(marking, t)
+        return self.value(marking, t) * busy if busy else 0.0
+
+    def busy_servers(self, marking: Sequence[int], t: int) -> int:
+        """Return how many servers of the exponential transition ``t`` are busy in ``marking``."""
+        degree, servers = self.enabling_degree(marking, t), self.transitions[t].servers
+        return degree if servers is None else min(degree, servers)
 
     def require_numbers(self, what: str, of: Optional[Collection[int]] = None) -> None:
         """Require that no rate or weight depends on the marking.

@@ -825,7 +825,7 @@ _TABLE: Sequence[Any] = (
         "model",
         "any number of servers",
         ["degrees"],
-        (net.Net.effective_rate, "degree = min(degree, transition.servers)", "pass"),
+        (net.Net.busy_servers, "min(degree, servers)", "degree"),
     ),
     (
         "degrees",
