@@ -28,6 +28,9 @@ from gspn_framework_package.ros.action_targets import action_targets
 
 plan_of = partial(plan_in, HERE)
 
+SILENT = 1.0 * PATIENCE
+"""After so long without a status (s) a server counts as dead. Python servers send five a second."""
+
 
 class SimulatedClock:
     """Publishes /clock; ``rate`` seconds of it pass in one second."""
@@ -95,18 +98,24 @@ class ClockTest(unittest.TestCase):
         return goal is not None and bool(goal.acknowledged_by)
 
     def test_goals_go_on_when_time_goes_back(self):
-        self.robot(status=0.5)
+        self.robot(status=SILENT)
         self.send(1)
         wait_for(self.is_under_way, what="the server to take the goal")
         self.clock.now = 500.0
         wait_for(lambda: rospy.get_time() < 900.0, what="the clock to go back")
-        wait_for(lambda: rospy.get_time() > 501.5, what="longer than the server may be silent")
+        wait_for(
+            lambda: rospy.get_time() > 501.0 + SILENT, what="longer than the server may be silent"
+        )
         self.release.set()
         self.assertEqual(self.ended.get(timeout=20 * PATIENCE).outcome, "succeeded")
         self.release.clear()
         self.send(2)
         wait_for(self.is_under_way, what="the server to take the next goal")
-        wait_for(lambda: rospy.get_time() > 503.0, what="longer than the server may be silent")
+        sent = rospy.get_time()
+        wait_for(
+            lambda: rospy.get_time() > sent + 0.5 + SILENT,
+            what="longer than the server may be silent",
+        )
         self.release.set()
         self.assertEqual(self.ended.get(timeout=20 * PATIENCE).outcome, "succeeded")
         self.assertEqual(len(self.faults), 1, self.faults)
@@ -120,12 +129,15 @@ class ClockTest(unittest.TestCase):
         self.assertEqual(self.ended.get(timeout=15).outcome, "timeout")
 
     def test_a_paused_simulation_is_neither_silence_nor_the_time_of_an_action(self):
-        self.robot(timeouts={"P1": 0.6}, status=0.3)
+        self.robot(timeouts={"P1": 0.6}, status=SILENT)
         self.send(1)
         wait_for(self.is_under_way, what="the server to take the goal")
         self.clock.rate = 0.0
         paused = time.monotonic()
-        wait_for(lambda: time.monotonic() > paused + 1.0, what="longer than the action may take")
+        wait_for(
+            lambda: time.monotonic() > paused + 0.5 + SILENT,
+            what="longer than the action may take, and its server may be silent",
+        )
         self.assertTrue(self.ended.empty())
         self.clock.rate = 1.0
         self.assertEqual(self.ended.get(timeout=20 * PATIENCE).outcome, "timeout")
