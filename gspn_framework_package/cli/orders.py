@@ -79,7 +79,8 @@ class OrderVerb(NamedTuple):
             print(json.dumps({"order": self.command, "done": done, "message": message, **made}))
         else:
             about = "".join("%s %s: " % (self.order.noun, name) for name in made.values())
-            print("%s: %s%s" % ("done" if done else "not done", about, message))
+            word = self.order.word
+            print("%s: %s%s" % (word if done else "not " + word, about, message))
         return 0 if done else 1
 
 

@@ -38,7 +38,8 @@ class TaskTurn(Turn):
     def _submit(self, entry: log_entries.Submit) -> None:
         t = self.net.transition_index.get(entry.transition)
         if t not in self.rules.submissions:
-            self._fault(None, "'%s' does not take tasks" % entry.transition)
+            text = "task %s is refused: '%s' does not take tasks"
+            self._refuse(text % (entry.id, entry.transition))
             return
         assert t is not None
         carrier = self.state.gone_with(t, entry.id) if entry.again else None
@@ -46,7 +47,7 @@ class TaskTurn(Turn):
             return
         if self.state.is_full(t):
             text = "%d tasks are already waiting for '%s'; '%s' is refused"
-            self._fault(None, text % (OUTSIDE_LIMIT, entry.transition, entry.id))
+            self._refuse(text % (OUTSIDE_LIMIT, entry.transition, entry.id))
             return
         if self._replaces(entry):
             task = Task(entry.id, entry.data, entry.priority, entry.since, 0, entry.until, entry.to)

@@ -77,6 +77,7 @@ class OrderKind(NamedTuple):
     :ivar note: more about the verb.
     :ivar noun: what its argument is, for messages; ``like`` is an example of it.
     :ivar seconds: how long a robot may take to carry it out.
+    :ivar word: what the command line says when it is carried out.
     :ivar against_robot: whether the robot that it concerns is the last to ask.
     """
 
@@ -90,6 +91,7 @@ class OrderKind(NamedTuple):
     noun: str = ""
     like: str = ""
     seconds: float = ORDER_TIME
+    word: str = "done"
     against_robot: bool = False
     form: Optional[Form] = None
 
@@ -369,6 +371,7 @@ ORDERS: Dict[str, OrderKind] = {
         "again with the same --id: it counts only once. Exit codes: 0 the team has the task, 1 it "
         "does not, or no team was found, 2 the task or the usage is wrong.",
         noun="task",
+        word="known",
         like='{"transition": "order", "id": "o1", "data": {"pose": [1, 2]}, "priority": 5}',
         form=Form(
             "entrance",

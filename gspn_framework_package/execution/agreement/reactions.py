@@ -22,7 +22,7 @@ from gspn_framework_package.execution.breakpoints import RobotBreakpoints
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.event_watch import EventWatch, Visit, asked_anew
 from gspn_framework_package.execution.team_state import OUTSIDE_LIMIT
-from gspn_framework_package.execution.team_tasks import TASK_CANCELLED
+from gspn_framework_package.execution.team_tasks import TASK_CANCELLED, TASK_DONE, first_of
 from gspn_framework_package.model.errors import LogError
 
 OFFERED_LIMIT = 10_000
@@ -54,6 +54,7 @@ class Reactions:
         self._begin_to_watch()
         self._orders: Dict[Tuple[str, str], List[str]] = {}
         """Task -> operators' orders that wait until the team has it."""
+        self._named_late_tasks = False
 
     # -- events ------------------------------------------------------------------------------------
 
@@ -154,9 +155,12 @@ class Reactions:
         if order_id and key in state.offered:
             self._orders.setdefault(key, []).append(order_id)
         elif order_id:
-            where = state.ledger.state.whereabouts(task.id, state.ledger.game.net)
+            team = state.ledger.state
+            where = team.whereabouts(task.id, state.ledger.game.net)
             text = "the task was submitted before and is not taken again: %s" % where
-            self.outbox.order_result(order_id, True, text)
+            ended = None if team.tasks_with(task.id) else team.end_of(task.id)
+            is_undone = ended is not None and ended.outcome != TASK_DONE
+            self.outbox.order_result(order_id, not is_undone, text)
         return ""
 
     def want_tasks(self) -> None:
@@ -177,6 +181,7 @@ class Reactions:
                 self.outbox.order_result(order, False, why)
         if state.ledger.state.ended is not None:
             self._refuse_orders("the run is over: %s" % state.ledger.state.ended)
+            self._name_tasks_that_came_too_late()
             return
         if not state.active:
             return
@@ -239,6 +244,14 @@ class Reactions:
         orders, self._orders = self._orders, {}
         for order in (order for waiting in orders.values() for order in waiting):
             self.outbox.order_result(order, False, why)
+
+    def _name_tasks_that_came_too_late(self) -> None:
+        """Say once which tasks reached us, but not the team before the end of the run."""
+        left = [task for _, task in self.state.offered]
+        if left and not self._named_late_tasks:
+            self._named_late_tasks = True
+            text = "the run ends before the team has %d tasks: %s"
+            self.outbox.fault(text % (len(left), first_of(left)))
 
     def _proposed(self) -> Set[Tuple[str, str]]:
         entries = (own.item.entry for own in self.state.own_proposals.asking)

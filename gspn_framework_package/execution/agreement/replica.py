@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface, messages
 from gspn_framework_package.execution.agreement.config import Config, Pace, ProtocolLimits
 from gspn_framework_package.execution.agreement.consensus import Consensus
@@ -184,6 +185,8 @@ class Replica:
             self._take(given)
         elif isinstance(given, (interface.Order, interface.ForceEvict)):
             self.outbox.order_result(given.order_id, False, self.state.halted)
+        elif isinstance(given, interface.TaskCame):
+            self._refuse_task(given.task, self.state.halted)
 
     def _take(self, given: interface.Input) -> None:
         if isinstance(given, interface.Received):
@@ -197,7 +200,7 @@ class Replica:
         elif isinstance(given, interface.TaskCame):
             why = self.reactions.take_task(given.task)
             if why:
-                self.outbox.fault("task %s is refused: %s" % (given.task.id, why))
+                self._refuse_task(given.task, why)
         elif isinstance(given, interface.TimeOfDay):
             self.reactions.look_at_times(given.seconds)
         elif isinstance(given, interface.Order):
@@ -206,6 +209,9 @@ class Replica:
             self.orders.keep(given)
         elif isinstance(given, interface.ForceEvict):
             self.orders.force_evict(given)
+
+    def _refuse_task(self, task: log_entries.Submit, why: str) -> None:
+        self.outbox.fault("task %s is refused: %s" % (task.id, why))
 
     def _receive(self, data: Any) -> None:
         try:

@@ -367,7 +367,7 @@ def test_a_task_for_another_transition_is_refused_and_reported():
     run = shop()
     assert run.feed(log_entries.Submit("delivered", "x")) == []
     assert [c.message for c in run.commands if isinstance(c, Fault)] == [
-        "'delivered' does not take tasks"
+        "task x is refused: 'delivered' does not take tasks"
     ]
 
 

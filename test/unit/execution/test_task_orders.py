@@ -322,6 +322,7 @@ def test_an_operator_hears_what_became_of_a_task(partial: bool) -> None:
     assert given.text == "the team has task 't2' no more: it was cancelled (with r1 in Deliver)"
     assert result(world, "r1", log_entries.CancelTask("t9")).text == "the team has no task 't9'"
     given = result(world, "r1", log_entries.Submit("order", "t2"))
+    assert not given.ok
     assert given.text.endswith("is not taken again: it was cancelled (with r1 in Deliver)")
     restart(world.nodes["r1"])
     assert len(world.entries("cancel")) == 1
