@@ -636,6 +636,7 @@ def verb(monkeypatch):
     return install
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", sorted(dispatcher.all_verbs()))
 def test_a_verb_is_what_the_table_says(name):
     shown = gspn(name, "--help")

@@ -59,6 +59,7 @@ def compare(plans, *words):
     return main(["simulate", plans[0], "--against", plans[1], *words])
 
 
+@pytest.mark.long
 def test_the_learned_durations_decide_and_the_nominal_rates_differ(plans, capsys):
     assert compare(plans, *TRIPS, "--replications", "20", "--json") == 0
     fitted = json.loads(capsys.readouterr().out)

@@ -123,6 +123,7 @@ def test_an_event_that_is_held_fires_when_it_can():
     assert not any("holds" in n for n in Analysis(free).timing.assumptions)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("acts", [True, False])
 @pytest.mark.parametrize("durations", [{}, {"idle": Duration.erlang(2, 3.0)}])
 def test_a_place_that_only_events_leave(acts, durations):
@@ -149,6 +150,7 @@ def test_a_place_that_only_events_leave(acts, durations):
     assert abs(tokens.mean() - 0.8) < 6 * tokens.std(ddof=1) / 10
 
 
+@pytest.mark.long
 def test_an_outcome_may_name_the_transition_of_an_event():
     """Then the robot asks for it, besides."""
     net = guards().net
@@ -163,6 +165,7 @@ def test_an_outcome_may_name_the_transition_of_an_event():
         assert abs(found.mean() - exact.throughput[name]) < 6 * spread
 
 
+@pytest.mark.long
 def test_tasks_come_in_without_a_simulated_environment():
     net = (
         NetBuilder("orders")
@@ -222,6 +225,7 @@ def test_the_simulation_has_the_measures_of_the_chain(plan):
             assert abs(column.mean() - exact[name]) <= far * error + 1e-9, name
 
 
+@pytest.mark.long
 @settings(relaxed, max_examples=40)
 @given(with_events(running_plans(kinds=("work", "instant"), joint=False), plain_event()))
 def test_both_readings_are_one_chain_where_no_split_is_due(plan):

@@ -155,6 +155,7 @@ def test_a_fit_is_the_same(processes):
     assert sum(fit.test is not None for fit in here.places.values()) >= 2
 
 
+@pytest.mark.long
 def test_a_prediction_is_the_same(processes):
     plan = read_plan(str(PLANS / "tokens"))
     learned = replace(
@@ -181,6 +182,7 @@ def test_a_comparison_of_two_plans_is_the_same(processes):
         assert there.to_json() == {**here.to_json(), "needed": there.needed}  # with a time
 
 
+@pytest.mark.long
 def test_a_policy_is_improved_in_the_same_way(processes):
     plan = read_plan(str(PLANS / "tokens"))
     request = Request(Objective.long_run({"t1": 1.0}))
@@ -218,6 +220,7 @@ def test_the_task_of_a_killed_worker_is_done_again(executor, tmp_path):
     assert (tmp_path / "died").exists()
 
 
+@pytest.mark.long
 def test_a_task_that_kills_every_worker_is_given_up(monkeypatch):
     monkeypatch.setattr(remote, "_MOST_DEATHS", 1)
     with ProcessExecutor(1) as executor, pytest.raises(WorkersError, match="died 2 times"):

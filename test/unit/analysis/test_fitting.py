@@ -243,6 +243,7 @@ def test_intervals_cover_the_truth() -> None:
 # -- tests -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_the_test_of_fit_has_its_size_and_the_naive_one_has_not() -> None:
     generator = source(12)
     rejected = naive = 0
@@ -607,6 +608,7 @@ def test_a_figure_has_a_row_for_each_place_even_if_nothing_varies() -> None:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("hold", [False, True])
 def test_the_rate_of_an_event_is_learned_and_what_it_cuts_off_is_censored(tmp_path, hold):
     net = (

@@ -127,6 +127,7 @@ def test_generated_plans():
     assert compared > 60
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "condition",
     [

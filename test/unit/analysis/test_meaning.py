@@ -56,6 +56,7 @@ def test_all_statements_agree_about_weights_and_rates_that_depend_on_the_marking
             assert not told_by(COMPARISONS[name], case), name
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("family", ["capacities", "degrees", "spontaneous_first", "at_rest"])
 def test_policies_are_computed_for_rates_that_depend_on_the_marking(family):
     for number in range(2):

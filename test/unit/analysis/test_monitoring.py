@@ -85,6 +85,7 @@ def _simulated_length(ratio: float, threshold: float, generator: Any) -> int:
             return count
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("chance, odds", [(0.5, 2.0), (0.1, 2.0), (0.1, 0.5), (0.02, 2.0)])
 def test_run_lengths_of_outcomes_agree_with_a_simulation(chance: float, odds: float) -> None:
     chart = ChanceChart(chance, odds)
@@ -193,6 +194,7 @@ def _play(
     return monitor
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("duration", [DURATIONS[0], DURATIONS[1], DURATIONS[5], DURATIONS[9]])
 def test_a_run_as_planned_raises_no_more_alarms_than_stated(duration: Duration) -> None:
     attempts, alarms = 6000, 0
@@ -355,6 +357,7 @@ def test_a_choice_that_no_row_allows_is_noticed() -> None:
 # -- prediction ------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_long_runs_are_replicated_less_often_unless_it_was_asked(monkeypatch: Any) -> None:
     monkeypatch.setattr(prediction, "USUAL_FIRINGS", 8000)
     learned = {("durations", "Work"): Evidence(50, ("a",), (0.8, 1.3))}

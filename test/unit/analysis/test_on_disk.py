@@ -92,6 +92,7 @@ def wide(places):
     return builder.build()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("places", [26, 34])
 def test_markings_of_several_words_are_found(places):
     as_in_memory(wide(places), search(wide(places), 2 * LEAST))

@@ -241,6 +241,7 @@ def test_proofs_about_plans_agree_with_their_states(data, plan, reading):
 # -- single answers --------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("query", "holds"),
     [
@@ -268,6 +269,7 @@ def test_yes_or_no(query, holds):
     assert bool(answer.undecided) == (holds is None)
 
 
+@pytest.mark.long
 def test_probabilities_of_a_counter_that_grows():
     """A failed machine is repaired with probability 3/4."""
     answer = answer_query(Analysis(machine()), "P=? [ F done >= 3 ]")
@@ -320,6 +322,7 @@ def test_a_proof_needs_no_markings():
     assert answer_query(analysis, "AF a0 + b0 = 2").holds is False
 
 
+@pytest.mark.long
 def test_parts_that_are_exchanged_are_not_asked_about():
     analysis = Analysis(machine(), lump=[])
     with pytest.raises(UsageError, match="equal parts"):

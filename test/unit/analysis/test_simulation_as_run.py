@@ -113,6 +113,7 @@ def test_shipped_plans(name):
     assert_alike(plan, reference(plan, time=20.0, runs=100), kernel_rows(plan, time=20.0, runs=300))
 
 
+@pytest.mark.long
 def test_a_draw_is_kept_until_the_marking_changes():
     """The robot in `wait` draws mostly a meeting for which nobody comes; each step of the other one
     gives it another draw."""

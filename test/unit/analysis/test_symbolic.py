@@ -49,6 +49,7 @@ def counts_by_definition(net):
     }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("form", FORMS)
 def test_counts_by_definition(form, monkeypatch):
     # room for a few nodes only, and many pauses: the work goes on where it was

@@ -525,6 +525,7 @@ def as_files(logs: List[EventLog], folder: Any) -> None:
         (folder / ("%s.jsonl" % log.robot)).write_text("".join(lines))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("partial", [False, True])
 def test_every_line_that_is_dropped_changed_or_doubled_is_found(
     tmp_path, capsys, partial: bool

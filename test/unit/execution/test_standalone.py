@@ -229,6 +229,7 @@ def test_a_thousand_agents_at_once(tmp_path: Path) -> None:
     assert executor.status()["marking"]["P3"] == 1000
 
 
+@pytest.mark.long
 def test_the_environment_fires_at_its_rates(tmp_path: Path) -> None:
     net = {"arrive": (True, [], ["orders"]), "work": (True, ["idle", "orders"], ["idle"])}
     plan = write_plan(

@@ -128,6 +128,7 @@ def read_or_refuse(path):
         assert isinstance(net, Net)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("prefix", [b"", b"<", b"<pnml>", b"<project>", b"tr ", b"\xff\xfe<\0"])
 @RELAXED
 @given(data=st.binary(max_size=300))

@@ -19,6 +19,7 @@ def convert(*words):
     return main(["convert", *map(str, words)])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["pipe", "pnml", "pnpro"])
 def test_every_plan_through_every_format(name, tmp_path, capsys):
     notes = []

@@ -84,6 +84,7 @@ def test_one_edit_changes_one_line(path, tmp_path):
         assert "arcs" in change or back == data
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("path", PLANS)
 def test_many_edits_of_a_shipped_net(path, tmp_path):
     data = Path(path).read_bytes()

@@ -300,6 +300,7 @@ def test_however_names_and_ids_are_mixed_up_all_elements_have_different_names(na
             assert used == name
 
 
+@pytest.mark.long
 def test_a_long_chain_of_names_that_are_ids_of_others():
     draft = NetDraft()
     for number in range(50_000):

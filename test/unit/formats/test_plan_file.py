@@ -154,6 +154,7 @@ def test_robots_are_dealt_where_a_plan_names_none() -> None:
     assert [(r.name, r.place) for r in plan.robots] == [("robot_1", "P")]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("data", "message"),
     [

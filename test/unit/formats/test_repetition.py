@@ -90,6 +90,7 @@ def document(places="", transitions="", arcs="", before="", after=""):
 SIMPLE = nets().filter(lambda net: net.arcs)
 
 
+@pytest.mark.long
 @settings(max_examples=60, deadline=None)
 @given(net=SIMPLE, infinite=st.sampled_from([None, True]), weight=st.sampled_from([1.0, 0.0]))
 def test_both_readers_agree_on_what_is_written(net, infinite, weight):

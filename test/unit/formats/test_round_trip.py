@@ -30,6 +30,7 @@ def through(net, formats, folder):
     return net
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", EXACT)
 @RELAXED
 @given(net=nets(capacities=False, servers=(1, None)))
@@ -37,12 +38,14 @@ def test_a_net_comes_back_as_it_was(tmp_path, name, net):
     assert through(net, [name], tmp_path) == net
 
 
+@pytest.mark.long
 @RELAXED
 @given(net=nets())
 def test_pnml_holds_capacities_and_numbers_of_servers(tmp_path, net):
     assert through(net, ["pnml"], tmp_path) == net
 
 
+@pytest.mark.long
 @RELAXED
 @given(net=nets(servers=(1, None)))
 def test_pipe_holds_capacities(tmp_path, net):
@@ -55,6 +58,7 @@ def test_pnpro_holds_numbers_of_servers(tmp_path, net):
     assert through(net, ["pnpro"], tmp_path) == net
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["pnml", "pnpro"])
 @RELAXED
 @example(

@@ -450,6 +450,7 @@ def meaningful(root, net=None):
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SAMPLES)
 @settings(
     max_examples=60,

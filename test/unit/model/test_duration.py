@@ -80,6 +80,7 @@ def test_functions_of_a_time_agree_with_each_other(duration, p):
     assert list(duration.cdf(np.array([x, x]))) == [duration.cdf(x)] * 2
 
 
+@pytest.mark.long
 @settings(max_examples=30)
 @given(DURATIONS)
 def test_the_moments_are_those_of_the_quantiles(duration):

@@ -54,6 +54,7 @@ def test_what_cannot_be_read(text, message):
         parse_value(text)
 
 
+@pytest.mark.long
 @given(st.text(min_size=1, max_size=5).filter(lambda s: not ("'" in s and '"' in s)))
 def test_any_place_can_be_named(name):
     assert parse_value("1 + #" + quoted_place(name)).places == (name,)

@@ -578,6 +578,7 @@ def test_drafts_are_bounded_and_stay_in_the_folder(folder, editor, tmp_path_fact
 # -- new plans, and exports ----------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [*PLANS, "patrol/net.xml"])
 def test_a_plan_is_saved_as_another(folder, editor, name):
     opened = editor.open(name)

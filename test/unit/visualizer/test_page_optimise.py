@@ -162,6 +162,7 @@ def test_a_policy_is_computed_and_told_in_parts(shop):
     assert wrong.status_code == 400 and wrong.get_json()["fields"].keys() == {"never.0"}
 
 
+@pytest.mark.long
 def test_a_plan_is_saved_beside_the_present_one_and_replaces_nothing_unasked(shop):
     present = (shop.folder / "plan.json").read_bytes()
     answer = saved(shop, "plan_optimised.json").get_json()
@@ -199,6 +200,7 @@ def test_a_plan_is_saved_beside_the_present_one_and_replaces_nothing_unasked(sho
     assert sorted(shop.folder.iterdir()) == before
 
 
+@pytest.mark.long
 def test_a_plan_without_a_file_is_downloaded_and_not_saved(tmp_path):
     plan = read_plan(str(write_shop(tmp_path)))
     project = Project()
@@ -216,6 +218,7 @@ def test_a_plan_without_a_file_is_downloaded_and_not_saved(tmp_path):
     client.app.extensions["gspn_jobs"].close()
 
 
+@pytest.mark.long
 def test_only_the_latest_policies_are_kept(monkeypatch, shop):
     monkeypatch.setattr(analysis_jobs, "POLICIES_KEPT", 1)
     jobs = shop.app.extensions["gspn_jobs"]

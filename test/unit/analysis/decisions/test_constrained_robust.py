@@ -88,6 +88,7 @@ def occupation(automaton, rewards, asked):
     )
 
 
+@pytest.mark.long
 @relaxed
 @given(rings(), st.data())
 def test_constraints_equal_the_program_over_occupation_measures(problem, data):

@@ -153,6 +153,7 @@ def value(plan, objective):
     return values[0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [*range(16), 23, 84, 121])
 def test_an_exported_policy_is_worth_the_certified_optimum(tmp_path, seed):
     rng = random.Random(seed)

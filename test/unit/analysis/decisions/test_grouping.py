@@ -90,6 +90,7 @@ def test_the_patrol_gets_its_published_value(reading, waits, value):
         assert grouped.silent == 0
 
 
+@pytest.mark.long
 def test_a_policy_for_all_teams_leaves_no_gap():
     plan, never, decide, objective = patrol()
     plan = replace(plan, strict=True)
@@ -170,12 +171,14 @@ def check_passage(plan, reading, place, aim):
     assert exported == pytest.approx(value, rel=1e-7, abs=1e-8)
 
 
+@pytest.mark.long
 @some
 @given(running_plans(), st.integers(0, 3), st.sampled_from(["time_to", "reach"]))
 def test_ways_to_a_goal_by_the_net(plan, place, aim):
     check_passage(plan, NET, place, aim)
 
 
+@pytest.mark.long
 @some
 @given(running_plans(), st.integers(0, 3), st.sampled_from(["time_to", "reach"]))
 def test_ways_to_a_goal_as_it_runs(plan, place, aim):

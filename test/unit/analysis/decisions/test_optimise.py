@@ -228,6 +228,7 @@ def test_a_constraint_has_its_price():
         optimise(plan, impossible, simulated=0)
 
 
+@pytest.mark.long
 def test_a_constraint_is_kept_although_rows_cannot_draw_between_going_and_waiting():
     plan = read_plan(str(PLANS / "patrol")).for_robots(2)
     request = Request(
@@ -292,6 +293,7 @@ def test_only_what_has_the_nominal_rates_is_said_with_them():
     assert nominal.plan.durations == plan.durations
 
 
+@pytest.mark.long
 def test_the_sensitivities_of_a_run_are_the_quotients_of_differences():
     plan = read_plan(str(PLANS / "patrol")).for_robots(2)
     request = Request(CHECKS, team_sizes=(2,))
