@@ -239,7 +239,7 @@ class PlanMarkings:
         :param timeless: the transitions that may follow another one without time between them.
         """
         space, sources, targets = self.space, self._sources, self.space.targets
-        requests = {p: requested(self.plan, self._timing, self.original(p)) for p in self._robots}
+        requests = self._requests()
         doubtful = [
             (p, t)
             for p, asked in requests.items()
@@ -269,6 +269,53 @@ class PlanMarkings:
             go_on = waits & reachable_from(len(space), after, before, on_a_cycle)
             for state in np.flatnonzero(go_on)[:1].tolist():
                 yield self.net.transitions[t].name, self._finding(state, p, ways)
+
+    def held_for_good(self, timeless: List[int]) -> Iterator[Finding]:
+        """Markings of the whole team from which no robot ever leaves the finding's place, whatever
+        happens, while others go on for ever; one for each place that robots can leave.
+
+        So it is where robots wait for each other. It is certain as in :meth:`waiting_for_good`, but
+        for losses: a robot that is lost may free the others.
+
+        :param timeless: as there.
+        """
+        space, size = self.space, len(self.space)
+        if len({t.priority for t in self.net.transitions if not t.timed}) > 1:
+            return
+        live = np.flatnonzero(self.possible & ~self._is_loss)
+        before, after, fired = self._sources[live], space.targets[live], space.transitions[live]
+        part = components(size, before, after)
+        lasting = np.zeros(part.number, dtype=bool)
+        lasting[part.of[before]] = True
+        lasting &= part.bottom  # what fires there leads back into it
+        members = np.flatnonzero(lasting[part.of])
+        inside = lasting[part.of[before]]
+        count = len(self.net.transitions)
+        firing = np.unique(part.of[before[inside]].astype(np.int64) * count + fired[inside])
+        ends = terminal_places(self.plan)
+        ways: Optional[ShortestWays] = None
+        for p in self._robots:
+            exits = [t for t in self.net.consumers[p] if t < self._own]
+            if self._number[p] in ends or not exits:
+                continue
+            marked = part.of[members[space.column(p, members) > 0]]
+            left = firing[np.isin(firing % count, exits)] // count
+            if not len(np.setdiff1d(marked, left)):
+                continue
+            can_leave = self._over.copy()
+            can_leave[before[np.isin(fired, exits)]] = True
+            may_leave = reachable_from(size, after, before, can_leave)
+            if ways is None:
+                certain = self._certain(self._requests(), timeless)
+                ways = ShortestWays(size, self._sources, space.targets, certain)
+            held = ways.reached & (space.column(p) > 0) & ~may_leave
+            goes_on = held & reachable_from(size, after, before, held & lasting[part.of])
+            for state in np.flatnonzero(goes_on)[:1].tolist():
+                yield self._finding(state, p, ways)
+
+    def _requests(self) -> Dict[int, Set[int]]:
+        """The transitions that robots request by themselves, for each place."""
+        return {p: requested(self.plan, self._timing, self.original(p)) for p in self._robots}
 
     def _certain(self, requests: Dict[int, Set[int]], timeless: List[int]) -> Booleans:
         """The firings that a run can surely make: those that robots request, or that the policy

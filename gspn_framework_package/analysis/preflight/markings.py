@@ -454,7 +454,9 @@ class MarkingChecks:
             self._undecided(markings, "policy", "whether the policy covers every marking")
 
     def _look_at_waiting(self, markings: PlanMarkings) -> None:
+        known = set()
         for name, finding in markings.waiting_for_good(self._structure.timeless):
+            known.add(finding.place)
             self._list.add(
                 "waiting",
                 Severity.WARNING,
@@ -472,6 +474,23 @@ class MarkingChecks:
                 waits=True,
                 **finding.to_json(),
             )
+        for finding in markings.held_for_good(self._structure.timeless):
+            if finding.place not in known:
+                self._list.add(
+                    "waiting",
+                    Severity.WARNING,
+                    "a robot in %s can wait forever while others go on: in %s, reached by %s, "
+                    "nothing that takes a robot from %s can ever fire; let nothing take away for "
+                    "good what it needs"
+                    % (
+                        finding.place,
+                        marking_text(finding.marking),
+                        sequence(finding.sequence),
+                        finding.place,
+                    ),
+                    waits=True,
+                    **finding.to_json(),
+                )
 
     def _kinds(self, findings: Iterable[Finding]) -> List[Finding]:
         """The findings; of those that differ only in counters read only by ``until``, the first."""

@@ -393,6 +393,38 @@ def test_robots_that_wait_for_each_others_node_are_found(
     assert ("no dead marking" in said) is not dead
 
 
+@pytest.mark.parametrize("robots, jam", [(1, False), (2, True)])
+def test_robots_that_wait_in_a_lane_while_another_works_are_found(
+    tmp_path: Path, robots: int, jam: bool
+) -> None:
+    """One robot comes back from far, where one waits for it; a third goes on between other nodes."""
+    text = """
+nodes: {hall: [0, 0], mid: [5, 0], far: [15, 0], near: [0, 5]}
+edges: [[hall, mid], [mid, far], [hall, near]]
+"""
+    tasks = {
+        "start": ["hall"],
+        "tasks": {
+            "Look": {"at": ["far"], "seconds": 5, "again_after": 20},
+            "See": {"at": ["near"], "seconds": 5, "again_after": 20},
+        },
+        "battery": {"full": 0.2, "low": 0.2},
+        "docks": {"hall": 3},
+        "nodes": {"mid": {"capacity": 1}, "far": {"capacity": 1}},
+    }
+    built(tmp_path, text, tasks, robots=robots + 1).write(str(tmp_path / "made"))
+    report = check(read_plan(str(tmp_path / "made")))
+    found = report.of("waiting")
+    assert (report.doubts == ("can let robots wait forever",)) is jam
+    assert {str(item.details["place"]) for item in found} == (
+        {"At_mid_full", "At_far_low"} if jam else set()
+    )
+    for item in found:
+        marking = dict(item.details["marking"])
+        assert "nothing that takes a robot from %s" % item.details["place"] in item.text
+        assert marking["At_mid_full"] and marking["At_far_low"]
+
+
 @pytest.mark.parametrize(
     "text, tasks",
     [
