@@ -13,6 +13,7 @@ from typing import Callable, Dict, List, Optional, Sequence, Tuple
 from gspn_framework_package.world.avoidance import OtherRobot
 from gspn_framework_package.world.faults import Faults
 from gspn_framework_package.world.grid import Grid
+from gspn_framework_package.world.models import Models
 from gspn_framework_package.world.navigation import Navigator, Observation
 from gspn_framework_package.world.people import Walker, halted
 from gspn_framework_package.world.physics import TIME_STEP, Physics
@@ -36,6 +37,7 @@ class DrivingTeam:
 
     :ivar people: the people of the room, whether they are there or not.
     :ivar faults: what goes wrong.
+    :ivar models: the robots, and what was put into the room while it runs.
     """
 
     def __init__(
@@ -57,7 +59,9 @@ class DrivingTeam:
         }
         self.people = self._walkers()
         self._teleop: Dict[str, Tuple[float, float, float]] = {}
-        self.faults = Faults(self.physics, self.close_doors)
+        self._closed: Tuple[str, ...] = ()
+        self.models = Models(self.physics, self.carry, self._plan_anew)
+        self.faults = Faults(self.physics, self.close_doors, self.models.solids)
 
     def _walkers(self) -> Tuple[Walker, ...]:
         return tuple(
@@ -108,11 +112,21 @@ class DrivingTeam:
 
     def close_doors(self, names: Sequence[str]) -> None:
         """Close these doors, and open all others; robots and people find their ways anew."""
-        doors = self.room.doors
-        for name in doors:
+        for name in self.room.doors:
             self.physics.place_door(name, name in names)
-        closed = tuple(doors[name] for name in names)
-        room = replace(self.room, obstacles=(*self.room.obstacles, *closed))
+        self._closed = tuple(names)
+        self._plan_anew()
+
+    def carry(self, robot: str, pose: Pose) -> None:
+        """Put a robot elsewhere; its goal stays. :raises ValueError: there is no room for it."""
+        self.faults.carry(robot, pose)
+        self.navigators[robot].plan_anew()
+
+    def _plan_anew(self) -> None:
+        """Have everybody find a way around what is in the room now."""
+        closed = [self.room.doors[name] for name in self._closed]
+        solids = (*self.room.obstacles, *closed, *self.models.solids())
+        room = replace(self.room, obstacles=solids)
         self.grid = Grid(room)
         for navigator in self.navigators.values():
             navigator.use_grid(self.grid)

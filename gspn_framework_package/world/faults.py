@@ -11,7 +11,7 @@ import math
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, Mapping, Sequence, Tuple
 
 from gspn_framework_package.formats.yaml_file import is_finite_number
-from gspn_framework_package.world.room import Pose, Room, RoomFault
+from gspn_framework_package.world.room import Obstacle, Pose, Room, RoomFault
 
 if TYPE_CHECKING:
     from gspn_framework_package.world.people import Walker
@@ -90,14 +90,21 @@ class Faults:
 
     :param physics: the robots, and the room.
     :param close_doors: closes the doors of these names, and opens all others.
+    :param models: returns the solids that were put into the room while it runs.
 
     :ivar refused: why the last fault that could not happen did not; empty if there is none.
     """
 
-    def __init__(self, physics: Physics, close_doors: Callable[[Sequence[str]], None]) -> None:
+    def __init__(
+        self,
+        physics: Physics,
+        close_doors: Callable[[Sequence[str]], None],
+        models: Callable[[], Sequence[Obstacle]] = tuple,
+    ) -> None:
         self._physics = physics
         self._room = physics.room
         self._close_doors = close_doors
+        self._models = models
         self._coming: List[RoomFault] = list(self._room.faults)
         self._active: Dict[Tuple[str, str], Tuple[RoomFault, float]] = {}
         self._closed: Tuple[str, ...] = ()
@@ -136,7 +143,11 @@ class Faults:
             if fault.kind == "person":
                 people[fault.person].come(time)
             elif fault.kind == "carried":
-                carried += self._carry(fault)
+                try:
+                    self.carry(fault.robot, fault.to)
+                    carried.append(fault.robot)
+                except ValueError as error:
+                    self.refused = str(error)
             else:
                 self._start(fault, time)
         for key in [key for key, (_, end) in self._active.items() if end <= time]:
@@ -177,20 +188,18 @@ class Faults:
             for wheel in WHEELS["both"]:
                 self._physics.grip(fault.robot, wheel, 1.0)
 
-    def _carry(self, fault: RoomFault) -> List[str]:
-        """Carry a robot away; return its name, unless there is no room for it."""
-        robot, (x, y) = fault.robot, (fault.to.x, fault.to.y)
-        doors = [float(self._room.doors[name].distance(x, y)) for name in self._closed]
+    def carry(self, robot: str, to: Pose) -> None:
+        """Carry a robot away. :raises ValueError: there is no room for it."""
+        x, y = to.x, to.y
+        solids = [*(self._room.doors[name] for name in self._closed), *self._models()]
+        near = [float(solid.distance(x, y)) for solid in solids]
         poses = [self._physics.pose(name) for name in self._physics.robots if name != robot]
         radius = self._room.robot.radius
-        if min([float(self._room.clearance(x, y)), *doors]) < radius:
-            self.refused = "%s does not fit at %g, %g" % (robot, x, y)
-        elif any(fault.to.distance(pose) < 2 * radius for pose in poses):
-            self.refused = "a robot is at %g, %g" % (x, y)
-        else:
-            self._physics.carry(robot, fault.to)
-            return [robot]
-        return []
+        if min([float(self._room.clearance(x, y)), *near]) < radius:
+            raise ValueError("%s does not fit at %g, %g" % (robot, x, y))
+        if any(to.distance(pose) < 2 * radius for pose in poses):
+            raise ValueError("a robot is at %g, %g" % (x, y))
+        self._physics.carry(robot, to)
 
     def _move_doors(self, people: Sequence[Walker]) -> None:
         """Open the doors that shall be open; close the others as soon as nobody stands there."""

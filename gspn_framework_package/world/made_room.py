@@ -26,41 +26,6 @@ BETWEEN_STARTS = 0.15
 """Metres between two robots where they start."""
 
 
-def merged_boxes(filled: np.ndarray, size: float, low: Tuple[float, float]) -> List[Box]:
-    """Cover the filled cells of a grid exactly with few boxes.
-
-    :param filled: an array of bool, a row for each y.
-    :param size: side of a cell, metres.
-    :param low: the south-west corner of the first cell.
-    """
-    upright = _rectangles(filled)
-    lying = [(y, x, high, wide) for x, y, wide, high in _rectangles(filled.T)]
-    found = min(upright, lying, key=len)
-    return [
-        Box(
-            at=(low[0] + (x + wide / 2) * size, low[1] + (y + high / 2) * size),
-            size=(wide * size, high * size),
-            height=Room.wall_height,
-        )
-        for x, y, wide, high in found
-    ]
-
-
-def _rectangles(filled: np.ndarray) -> List[Tuple[int, int, int, int]]:
-    """Equal runs of cells in consecutive rows, as x, y, width and height."""
-    found: List[Tuple[int, int, int, int]] = []
-    begun: Dict[Tuple[int, int], int] = {}
-    for y, row in enumerate([*filled, np.zeros(filled.shape[1], bool)]):
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], row.astype(np.int8), [0]])))
-        runs = {(int(start), int(end)) for start, end in zip(edges[::2], edges[1::2])}
-        for run in set(begun) - runs:
-            first = begun.pop(run)
-            found.append((run[0], first, run[1] - run[0], y - first))
-        for run in runs - set(begun):
-            begun[run] = y
-    return sorted(found)
-
-
 def room_text(
     source: str,
     solids: Sequence[Obstacle],

@@ -12,7 +12,7 @@ from PIL import Image
 from gspn_framework_package.formats.source import open_file
 from gspn_framework_package.formats.yaml_file import YamlDocument, is_finite_number, read_yaml
 from gspn_framework_package.model.errors import InputError
-from gspn_framework_package.world.made_room import merged_boxes
+from gspn_framework_package.world.grid import merged_boxes
 from gspn_framework_package.world.room import Box
 from gspn_framework_package.world.room_check import LARGEST_FLOOR
 

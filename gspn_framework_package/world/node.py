@@ -96,7 +96,7 @@ class WorldNode:
         self._fault_text = ""
         rospy.Subscriber("/world/fault", String, self._take_fault, queue_size=20)
         self._robots = [RobotTopics(name, self.team, self._inbox.put, sensing) for name in robots]
-        self._gazebo = GazeboServices(self._in_world, self._reset)
+        self._gazebo = GazeboServices(self._in_world, self._reset, self.team.models)
         grid = messages.map_message(self.team.grid, MAP_FRAME)
         self._map.publish(grid)
         self._metadata.publish(grid.info)
@@ -172,6 +172,7 @@ class WorldNode:
         self.referee.watch()
         self._report_people()
         self._report_faults()
+        self._gazebo.publish(self.team.time)
         if self.recorder is not None:
             self.recorder.record()
         for robot in self._robots:

@@ -27,10 +27,13 @@ from gspn_framework_package.world.bodies import (
     make_solid,
 )
 from gspn_framework_package.world.room import Pose, Room
+from gspn_framework_package.world.urdf_robot import UrdfBody, make_urdf_robot
 from gspn_framework_package.world.window import set_up_window
 
 TIME_STEP = 1.0 / 120.0
 """Duration of one physics step, in seconds."""
+
+_Frame = Tuple[Tuple[float, float, float], Tuple[float, float, float, float]]
 
 TOUCH = 0.001
 """Metres between a robot and a person that count as a contact; Bullet keeps bodies that press on
@@ -60,6 +63,9 @@ class Contacts:
 @dataclass
 class _Body:
     unique_id: int
+    joints: Tuple[int, int]
+    forward: Tuple[float, float]
+    inertial: Optional[_Frame]
     speed: float = 0.0
     turn_rate: float = 0.0
     target_speed: float = 0.0
@@ -115,10 +121,12 @@ class Physics:
         self._met: Set[Tuple[str, int]] = set()
         self._bodies: Dict[str, _Body] = {}
         for name, pose in zip(robots, starts):
-            unique_id = make_robot(self._client, room.robot, pose, colour_of(name))
+            robot = self._make_robot(name, pose)
             errors = random.Random("drift %d %s" % (seed, name))
             measures = (1.0 + errors.gauss(0.0, drift), 1.0 + errors.gauss(0.0, drift))
-            self._bodies[name] = _Body(unique_id, odometry=pose, measures=measures)
+            self._bodies[name] = _Body(
+                *robot, self._inertial(robot.unique_id), odometry=pose, measures=measures
+            )
         self._names = {body.unique_id: name for name, body in self._bodies.items()}
         if gui:
             set_up_window(
@@ -132,6 +140,21 @@ class Physics:
             self._client.stepSimulation()
         for body in self._bodies.values():
             body.wheels = self._wheel_angles(body)
+
+    def _make_robot(self, name: str, pose: Pose) -> UrdfBody:
+        kind = self.room.robot
+        if kind.urdf:
+            return make_urdf_robot(self._client, kind, pose)
+        return UrdfBody(make_robot(self._client, kind, pose, colour_of(name)), (0, 1), (1.0, 1.0))
+
+    def _inertial(self, unique_id: int) -> Optional[_Frame]:
+        """The origin of a body as its inertial frame sees it, of which Bullet speaks; None if it is
+        above or below it."""
+        dynamics = self._client.getDynamicsInfo(unique_id, -1)
+        place, turned = dynamics[3], dynamics[4]
+        if abs(place[0]) < 1e-9 and abs(place[1]) < 1e-9 and abs(turned[3]) > 1.0 - 1e-9:
+            return None
+        return self._client.invertTransform(place, turned)
 
     def close(self) -> None:
         """Free the memory of the simulation."""
@@ -170,10 +193,14 @@ class Physics:
 
     def show(self, robot: str, pose: Pose) -> None:
         """Place a robot at a pose, for pictures of a recorded run."""
-        body = self._bodies[robot].unique_id
-        height = self._client.getBasePositionAndOrientation(body)[0][2]
-        turned = self._client.getQuaternionFromEuler([0, 0, pose.yaw])
-        self._client.resetBasePositionAndOrientation(body, [pose.x, pose.y, height], turned)
+        body, client = self._bodies[robot], self._client
+        place, turned = client.getBasePositionAndOrientation(body.unique_id)
+        if body.inertial is not None:
+            place = client.multiplyTransforms(place, turned, *body.inertial)[0]
+        frame = ([pose.x, pose.y, place[2]], client.getQuaternionFromEuler([0, 0, pose.yaw]))
+        if body.inertial is not None:
+            frame = client.multiplyTransforms(*frame, *client.invertTransform(*body.inertial))
+        client.resetBasePositionAndOrientation(body.unique_id, *frame)
 
     def carry(self, robot: str, pose: Pose) -> None:
         """Lift a robot and put it down at a pose, where it stands; its wheels do not turn."""
@@ -223,8 +250,8 @@ class Physics:
         :param wheel: 0 left, 1 right.
         :param friction: 1 is that of a sound wheel.
         """
-        body = self._bodies[robot].unique_id
-        self._client.changeDynamics(body, wheel, lateralFriction=friction)
+        body = self._bodies[robot]
+        self._client.changeDynamics(body.unique_id, body.joints[wheel], lateralFriction=friction)
 
     def step(self) -> None:
         """Advance by :data:`TIME_STEP`."""
@@ -255,18 +282,18 @@ class Physics:
         difference = body.turn_rate * kind.wheel_separation / 2
         self._client.setJointMotorControlArray(
             body.unique_id,
-            [0, 1],
+            body.joints,
             self._client.VELOCITY_CONTROL,
             targetVelocities=[
-                (body.speed - difference) / kind.wheel_radius,
-                (body.speed + difference) / kind.wheel_radius,
+                body.forward[0] * (body.speed - difference) / kind.wheel_radius,
+                body.forward[1] * (body.speed + difference) / kind.wheel_radius,
             ],
-            forces=[0.3, 0.3],
+            forces=[0.3 * kind.mass, 0.3 * kind.mass],
         )
 
     def _wheel_angles(self, body: _Body) -> Tuple[float, float]:
-        left, right = self._client.getJointStates(body.unique_id, [0, 1])
-        return (left[0], right[0])
+        left, right = self._client.getJointStates(body.unique_id, body.joints)
+        return (left[0] * body.forward[0], right[0] * body.forward[1])
 
     def _read_encoders(self, body: _Body) -> None:
         kind = self.room.robot
@@ -318,10 +345,12 @@ class Physics:
 
     def pose(self, robot: str) -> Pose:
         """The true pose of a robot."""
-        position, orientation = self._client.getBasePositionAndOrientation(
-            self._bodies[robot].unique_id
-        )
-        # the base frame is the centre of mass, which is on the robot's axis
+        body = self._bodies[robot]
+        position, orientation = self._client.getBasePositionAndOrientation(body.unique_id)
+        if body.inertial is not None:
+            position, orientation = self._client.multiplyTransforms(
+                position, orientation, *body.inertial
+            )
         x, y, z, w = orientation
         yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
         return Pose(position[0], position[1], yaw)
@@ -340,7 +369,8 @@ class Physics:
     def wheels(self, robot: str) -> List[Tuple[float, float]]:
         """The angle in radians and the speed in radians per second of the left wheel and the right
         wheel."""
-        states = self._client.getJointStates(self._bodies[robot].unique_id, [0, 1])
+        body = self._bodies[robot]
+        states = self._client.getJointStates(body.unique_id, body.joints)
         return [(state[0], state[1]) for state in states]
 
     def temperature(self, robot: str) -> float:

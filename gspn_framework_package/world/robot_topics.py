@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Callable, Dict, List, NamedTuple, Optional
+from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Tuple
 
 import numpy as np
 import rospy
@@ -14,12 +14,15 @@ from geometry_msgs.msg import PoseWithCovarianceStamped, Twist, Vector3
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu, JointState, LaserScan, Temperature
 
+from gspn_framework_package.formats.source import read_bytes, read_text
 from gspn_framework_package.world import messages
 from gspn_framework_package.world.driving_team import CONTROL_STEPS, DrivingTeam
 from gspn_framework_package.world.move_base import MAP_FRAME, MoveBase
 from gspn_framework_package.world.physics import TIME_STEP
-from gspn_framework_package.world.robot_urdf import FIXED_FRAMES, WHEEL_JOINTS, robot_urdf
+from gspn_framework_package.world.robot_urdf import FIXED_FRAMES, robot_urdf
 from gspn_framework_package.world.room import Pose
+from gspn_framework_package.world.urdf import read_urdf
+from gspn_framework_package.world.urdf_robot import height_of
 
 MESSAGE_STEPS = 4
 """Physics steps between two messages of odometry: 30 a second."""
@@ -84,7 +87,7 @@ class RobotTopics:
         )
         description = "/%s/robot_description" % name
         if not rospy.has_param(description):
-            rospy.set_param(description, robot_urdf(team.room.robot))
+            rospy.set_param(description, self._description())
             rospy.on_shutdown(lambda: rospy.delete_param(description))
 
     def _publisher(self, topic: str, kind: Any, latch: bool = False) -> Any:
@@ -110,8 +113,29 @@ class RobotTopics:
             messages.transform(
                 Pose(0.0, 0.0), stamp, self._frame(below), self._frame(frame), height
             )
-            for frame, (below, height) in FIXED_FRAMES.items()
+            for frame, (below, height) in self._fixed_frames().items()
         ]
+
+    def _description(self) -> str:
+        kind = self._team.room.robot
+        return read_text(kind.urdf) if kind.urdf else robot_urdf(kind)
+
+    def _fixed_frames(self) -> Mapping[str, Tuple[str, float]]:
+        """Those that the world publishes: what a URDF of the user has is left to
+        robot_state_publisher."""
+        kind = self._team.room.robot
+        if not kind.urdf:
+            return FIXED_FRAMES
+        urdf = read_urdf(read_bytes(kind.urdf), kind.urdf)
+        first = next(iter(urdf.poses))
+        frames = {
+            frame: (below if below in urdf.links else first, height)
+            for frame, (below, height) in FIXED_FRAMES.items()
+            if frame not in (*urdf.links, "base_link")
+        }
+        if "base_footprint" not in urdf.links:
+            frames[first] = ("base_footprint", height_of(urdf, kind))
+        return frames
 
     def _frame(self, name: str) -> str:
         return "%s/%s" % (self.name, name)
@@ -139,7 +163,8 @@ class RobotTopics:
             self._odometry.publish(messages.odometry_message(odometry, stamp, odom, base))
         if self._joints.get_num_connections():
             wheels = physics.wheels(name)
-            self._joints.publish(messages.joint_message(WHEEL_JOINTS, wheels, stamp))
+            names = self._team.room.robot.wheel_joints
+            self._joints.publish(messages.joint_message(names, wheels, stamp))
         if self._imu.get_num_connections():
             self._publish_imu(stamp)
         dark = self._team.faults.has("lidar", name)

@@ -219,6 +219,8 @@ class RobotType:
     :param mass: kilograms.
     :param scan_rays: number of rays of the laser scanner in a full circle.
     :param scan_range: metres.
+    :param urdf: the file of a robot of the user; empty for a TurtleBot3.
+    :param wheel_joints: its joints of the left wheel and the right one.
     """
 
     radius: float = 0.105
@@ -231,6 +233,8 @@ class RobotType:
     mass: float = 1.0
     scan_rays: int = 360
     scan_range: float = 3.5
+    urdf: str = ""
+    wheel_joints: Tuple[str, str] = ("wheel_left_joint", "wheel_right_joint")
 
 
 ROBOT_TYPES: Mapping[str, RobotType] = {

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple, Union
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple, Union, get_type_hints
 
 import jsonschema
 
@@ -121,7 +121,9 @@ ROOM_SCHEMA: Dict[str, Any] = _record(
         [],
         model={"enum": list(ROBOT_TYPES)},
         scan_rays={"type": "integer", "minimum": 1, "maximum": 10_000},
-        **{name: _POSITIVE for name in RobotType.__dataclass_fields__ if name != "scan_rays"},
+        urdf={"type": "string", "minLength": 1},
+        wheel_joints={"type": "array", "items": {"type": "string"}, "minItems": 2, "maxItems": 2},
+        **{name: _POSITIVE for name, kind in get_type_hints(RobotType).items() if kind is float},
     ),
 )
 """The JSON schema of a room file."""
@@ -178,10 +180,26 @@ def parse_room(text: str, file: Optional[str] = None) -> Room:
         )
         raise _refusal(first, document, len(problems) - 1)
     data = document.data
-    room = _build(data)
+    room = replace(_build(data), robot=_robot(data.get("robot", {}), document))
     room = replace(room, faults=_faults(room, document))
     check_room(room, document)
     return room
+
+
+def _robot(data: Mapping[str, Any], document: YamlDocument) -> RobotType:
+    given = dict(data)
+    kind = ROBOT_TYPES[given.pop("model", "burger")]
+    if "wheel_joints" in given:
+        given["wheel_joints"] = tuple(given["wheel_joints"])
+    if "urdf" not in given:
+        return replace(kind, **given)
+    # it needs PyBullet, which other rooms do not
+    try:
+        from gspn_framework_package.world.urdf_robot import measured
+    except ImportError:
+        raise document.error("a robot of your own needs PyBullet", ("robot", "urdf")) from None
+    given["urdf"] = str(Path(document.file or "").parent / given["urdf"])
+    return measured(replace(kind, **given), given)
 
 
 def _faults(room: Room, document: YamlDocument) -> Tuple[RoomFault, ...]:
@@ -265,7 +283,6 @@ def _build(data: Mapping[str, Any]) -> Room:
         for name, entry in data.get("locations", {}).items()
     }
     heat = data.get("temperature", {})
-    robot = dict(data.get("robot", {}))
     return Room(
         name=data["name"],
         walls=tuple(tuple(_point(point) for point in line) for line in data["walls"]),
@@ -281,7 +298,6 @@ def _build(data: Mapping[str, Any]) -> Room:
                 for entry in heat.get("hot_spots", [])
             ),
         ),
-        robot=replace(ROBOT_TYPES[robot.pop("model", "burger")], **robot),
         doors={name: _box(entry) for name, entry in data.get("doors", {}).items()},
         people=tuple(
             Person(**{**entry, "path": tuple(_point(point) for point in entry["path"])})

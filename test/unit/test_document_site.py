@@ -36,14 +36,6 @@ def test_a_page_has_the_menu_of_versions_and_its_own_version(built):
     assert "rare" in (built / "searchindex.js").read_text()
 
 
-def test_every_layer_of_the_package_has_its_pages(built):
-    """Those that other programs import; ``cli`` is the command line."""
-    package = Path(gspn_framework_package.__file__).parent
-    folders = {path.parent.name for path in package.glob("*/__init__.py")}
-    pages = {path.stem for path in (DOCS / "api").glob("*.rst")}
-    assert folders - {"cli", "msg", "srv"} <= pages
-
-
 def test_versions_stand_side_by_side_and_the_newest_is_shown_first(tmp_path):
     add_version = runpy.run_path(str(DOCS / "versions.py"))["add_version"]
     built, site = tmp_path / "html", tmp_path / "site"

@@ -75,6 +75,7 @@ ROSDEP_KEYS = {
     "duckdb": "",
     "igraph": "",
     "flask": "python3-flask",
+    "gazebo_msgs": "",  # Debian has none
     "imageio_ffmpeg": "",
     "jsonschema": "python3-jsonschema",
     "lxml": "python3-lxml",

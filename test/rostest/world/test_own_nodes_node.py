@@ -15,7 +15,7 @@ import rosgraph
 import rospy
 import rostest
 import yaml
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import Point, Pose, Quaternion, Twist
 from nav_msgs.msg import OccupancyGrid, Odometry
 from nav_msgs.srv import GetMap
 from rosgraph_msgs.msg import Clock
@@ -24,8 +24,17 @@ from std_msgs.msg import String
 from std_srvs.srv import Empty
 from tf2_msgs.msg import TFMessage
 
+from gspn_framework_package.msg import ModelState, ModelStates
+from gspn_framework_package.srv import DeleteModel, GetModelState, SetModelState, SpawnModel
+
 DEADLINE = 60.0 * float(os.environ.get("GSPN_PATIENCE", "1"))
 """Seconds of wall time; far more than any test here needs."""
+
+
+BOX = (
+    '<robot name="box"><link name="base"><collision><geometry><box size="%s"/></geometry>'
+    "</collision></link></robot>"
+)
 
 
 class Heard:
@@ -227,6 +236,48 @@ class TestOwnNodes(unittest.TestCase):
         self.assertGreater(back.header.stamp, paused)
         self.call("/gazebo/reset_simulation", Empty)
         odometry.wait(lambda message: message.header.stamp < paused)
+
+    def test_8_models_come_move_and_go_as_in_gazebo(self):
+        states = self.heard("/gazebo/model_states", ModelStates)
+        states.wait(lambda message: message.name == ["robot_1"])
+        crate = BOX % "0.2 0.2 0.4"
+        there = Pose(Point(0.0, 0.0, 0.2), Quaternion(0, 0, 0, 1))
+        state = rospy.ServiceProxy("/gazebo/get_model_state", GetModelState)
+        start = state("robot_1", "").pose
+        spawn = rospy.ServiceProxy("/gazebo/spawn_urdf_model", SpawnModel)
+        onto = spawn("crate", crate, "", there, "robot_1")
+        self.assertFalse(onto.success)
+        self.assertIn("robot_1 stands there", onto.status_message)
+        self.assertIn("<sdf>", spawn("crate", "<sdf/>", "", there, "").status_message)
+        there.position.x = 0.6
+        self.assertTrue(spawn("crate", crate, "", there, "robot_1").success)
+        states.wait(lambda message: message.name == ["robot_1", "crate"])
+        seen = state("crate", "robot_1")
+        self.assertAlmostEqual(seen.pose.position.x, 0.6, places=2)
+        self.assertAlmostEqual(seen.pose.position.z, 0.2)
+        scans = self.heard("/robot_1/scan", LaserScan)
+        scans.wait(lambda message: abs(message.ranges[0] - 0.5) < 0.1)  # straight ahead
+        put = rospy.ServiceProxy("/gazebo/set_model_state", SetModelState)
+        there.position.x = 0.9
+        self.assertTrue(put(ModelState("crate", there, Twist(), "robot_1")).success)
+        scans.wait(lambda message: abs(message.ranges[0] - 0.8) < 0.1)
+        delete = rospy.ServiceProxy("/gazebo/delete_model", DeleteModel)
+        self.assertTrue(delete("crate").success)
+        scans.wait(lambda message: not message.ranges[0] < 0.85)
+        self.assertIn("did you mean 'robot_1'", delete("robot_2").status_message)
+        self.assertFalse(delete("robot_1").success)
+        there.position.x = 0.3
+        self.assertTrue(put(ModelState("robot_1", there, Twist(), "robot_1")).success)
+        moved = state("robot_1", "world").pose
+        way = (moved.position.x - start.position.x, moved.position.y - start.position.y)
+        self.assertAlmostEqual(math.hypot(*way), 0.3, places=2)
+        # what clients and servers compare, as gazebo_msgs has it
+        for kind, md5sum in (
+            (SpawnModel._request_class, "6d0eba5753761cd57e6263a056b79930"),
+            (GetModelState._response_class, "ccd51739bb00f0141629e87b792e92b9"),
+            (ModelStates, "48c080191eb15c41858319b4d8a609c2"),
+        ):
+            self.assertEqual(kind._md5sum, md5sum)
 
 
 if __name__ == "__main__":

@@ -10,8 +10,7 @@ from PIL import Image
 
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.model.errors import InputError
-from gspn_framework_package.world.grid import Grid
-from gspn_framework_package.world.made_room import merged_boxes
+from gspn_framework_package.world.grid import Grid, merged_boxes
 from gspn_framework_package.world.map_room import read_occupancy_map
 from gspn_framework_package.world.physics import Physics
 from gspn_framework_package.world.room import Box, Cylinder, Room
