@@ -7,7 +7,8 @@ match those of a real run. Its log is a real event log, whose clocks start at 0.
 
 Events occur at the rates of their transitions, independently for each robot and throughout its
 visit, whatever its phase; a timed event (``after``) occurs when its time is over. Tasks arrive at
-the rate of their transition while it is enabled. The plan's sources are not used, so whether an
+the rate of their transition while it is enabled, and are cancelled at those of the transitions of
+``tasks.on_cancel`` whose events have no source. The plan's sources are not used, so whether an
 event counts by level or by edge makes no difference.
 
 >>> from gspn_framework_package.model.builder import NetBuilder
@@ -242,7 +243,7 @@ class VirtualRun:
             if self._visit(entry.robot) != (entry.incarnation, entry.visit):
                 return True  # the visit is over
             self.wait_until(when)
-            self._reduce([entry])
+            self._reduce([self._cancels(entry) or entry])
             self._come_again(entry)
             return True
         self.wait_until(when)
@@ -311,6 +312,14 @@ class VirtualRun:
         when = self.now + self._random.exponential(1 / rate)
         if when <= self._latest:  # keeps rare events of many visits from filling the memory
             self._at(when, event)
+
+    def _cancels(self, event: log_entries.Interrupt) -> Optional[log_entries.Entry]:
+        """The cancellation of a robot's task that an event stands for; None if it stands for
+        itself."""
+        task = self.state.robots[event.robot].task
+        if task is None or not task.id or event.transition not in self.plan.cancellations:
+            return None
+        return log_entries.CancelTask(task.id)
 
     def _come_again(self, event: log_entries.Interrupt) -> None:
         """Draw the next event if the last one changed nothing."""

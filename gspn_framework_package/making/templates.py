@@ -284,6 +284,8 @@ def _deliver(title: str, robots: int, places: Sequence[str]) -> _Draft:
         .immediate("take", inputs=["Idle", "Orders"], outputs="Fetch", position=_at(1, 0))
         .exponential("fetched", 0.5, None, inputs="Fetch", outputs="Deliver", position=_at(3, 0))
         .exponential("delivered", 0.25, None, inputs="Deliver", outputs="Idle", position=_at(2, 1))
+        .exponential("called_off", 0.01, None, inputs="Fetch", outputs="Idle", position=_at(1, 1))
+        .exponential("taken_back", 0.01, None, inputs="Deliver", outputs="Idle", position=_at(3, 1))
         .build()
     )
     plan = {
@@ -295,8 +297,16 @@ def _deliver(title: str, robots: int, places: Sequence[str]) -> _Draft:
             "Deliver": {"function": "actions.Deliver", "settings": {"seconds": 4.0}},
         },
         "resource_places": ["Orders"],
-        "tasks": {"queues": ["Orders"], "done": ["delivered"]},
-        "events": {"order": {"function": "actions.Orders", "every": 5}},
+        "tasks": {
+            "queues": ["Orders"],
+            "done": ["delivered"],
+            "on_cancel": {"Fetch": "called_off", "Deliver": "taken_back"},
+        },
+        "events": {
+            "order": {"function": "actions.Orders", "every": 5},
+            "called_off": {},
+            "taken_back": {},
+        },
         "robots": _team(robots, ["Idle"]),
         "spawn": ["Idle"],
         "on_failure": {"*": {"retry": 3, "delay": 1}},

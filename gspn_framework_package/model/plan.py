@@ -305,6 +305,16 @@ class Plan:
             )
         )
 
+    @property
+    def cancellations(self) -> FrozenSet[str]:
+        """The transitions by which robots move only because their task is cancelled: those of
+        ``tasks.on_cancel`` that have an event without a source. Their rates say how often that is.
+        """
+        named = {t for t in self.tasks.on_cancel.values() if t is not None and t in self.events}
+        return frozenset(
+            t for t in named if not self.events[t].is_watched and self.events[t].comes_after is None
+        )
+
     def _holds_robots(self, place: int) -> bool:
         return self.net.places[place].name not in self.resource_places
 

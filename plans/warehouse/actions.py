@@ -98,7 +98,9 @@ def dock_in(is_cancelled):
 
 
 def hand_over(data, is_cancelled):
-    """Hand over what was ordered, and count it."""
+    """Hand over what was ordered, and count it; take it back if the order was cancelled."""
+    if "task.id" not in data:
+        return "taken_back"
     if is_cancelled.wait(0.3):
         return None
     return "delivered", {"handed_over": data.get("robot.handed_over", 0) + 1}

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.testing import Coverage, Scenario
 
 FOLDER = Path(__file__).resolve().parents[2] / "plans" / "warehouse"
@@ -90,6 +91,48 @@ def test_the_order_of_a_lost_robot_is_done_once(coverage: Coverage, place: str) 
     assert run.marking["Counter"] == 1
 
 
+@pytest.mark.parametrize(
+    ("place", "leaves"),
+    [("Fetch", "called_off"), ("Deliver.Approach", "taken_back"), ("Hand_Over", "taken_back")],
+)
+def test_a_robot_whose_order_is_cancelled_takes_the_next(
+    coverage: Coverage, place: str, leaves: str
+) -> None:
+    run = start(coverage)
+    run.action(place, seconds=50.0, times=1)
+    if place == "Deliver.Approach":
+        run.action("Hand_Over", result="taken_back", times=1)  # which has no order
+    run.submit("order", {"pose": POSE})
+    run.until("%s >= 1" % place, within=9_000.0)
+    run.order(log_entries.CancelTask("order-1"))
+    run.until_fired(leaves, within=9_000.0)
+    assert run.marking["Counter"] == 1
+    run.submit("order", {"pose": POSE})
+    run.until_fired("delivered", within=9_000.0)
+    assert run.tasks_done == ["order-2"]
+    run.check_no_faults()
+
+
+def test_an_order_is_cancelled_while_its_robot_waits(coverage: Coverage) -> None:
+    run = start(coverage)
+    run.action("Fetch", seconds=20.0)
+    run.submit("order", {"pose": POSE})
+    run.until("Fetch >= 1")
+    run.event("person", run.attempts_in("Fetch")[0].robot)
+    run.until("Stopped >= 1")
+    run.order(log_entries.CancelTask("order-1"))
+    run.until_fired("called_off_there")
+    run.action("Hand_Over", seconds=200.0, times=1)
+    loaded = [run.submit("order", {"pose": POSE}), run.submit("order", {"pose": POSE})]
+    run.until("Loaded >= 1 and Counter == 0", within=9_000.0)
+    waits = next(r for r in ("robot_%d" % k for k in range(1, 5)) if run.place(r) == "Loaded")
+    order = run.attempts_in("Fetch", waits)[-1].data["task.id"]
+    run.order(log_entries.CancelTask(order))
+    run.until_fired("put_back")
+    run.until_fired("delivered", within=9_000.0)
+    assert [*run.tasks_done, order] in (loaded, loaded[::-1])
+
+
 def test_everything_in_the_plan_happens() -> None:
     plan = Scenario(FOLDER).plan
     coverage = Coverage(plan)
@@ -98,4 +141,5 @@ def test_everything_in_the_plan_happens() -> None:
     run.event("Charge.person")
     run.until_fired("Charge.clear")
     run.advance(300.0)
+    run.until_fired("taken_back")
     coverage.check()

@@ -29,7 +29,7 @@ class ReactingChecks:
         self._list = checklist
         self._standalone = standalone
         self._queues = {net.place_number(p) for p in plan.tasks.queues}
-        self._done = {net.transition_number(t) for t in plan.tasks.done}
+        self._done = {net.transition_number(t) for t in (*plan.tasks.done, *plan.cancellations)}
         self._acts = {net.place_number(p) for p in plan.action_places}
 
     def look_at_reactions(self) -> None:
@@ -54,7 +54,7 @@ class ReactingChecks:
         if interrupting:
             told = [
                 "%s (%s) interrupts %s"
-                % (net.transitions[t].name, plan.events[net.transitions[t].name].label, place)
+                % (net.transitions[t].name, self._source(net.transitions[t].name), place)
                 for t, place in interrupting
             ]
             self._list.add(
@@ -103,6 +103,12 @@ class ReactingChecks:
                 % "; ".join([text for _, text in differing][:LISTED]),
                 transitions=[name for name, _ in differing],
             )
+
+    def _source(self, transition: str) -> str:
+        """What an event comes from, in words."""
+        if transition in self.plan.cancellations:
+            return "gspn cancel"
+        return self.plan.events[transition].label
 
     def _possible(self) -> Set[int]:
         """The transitions that may fire, judged by single places: all their input places can get a
@@ -160,7 +166,7 @@ class ReactingChecks:
                     transition=transition.name,
                     places=laden,
                 )
-        if not self._done:
+        if not plan.tasks.done:
             self._warn("tasks.done lists no transition: no task is ever done")
         ends = [net.places[p].name for p in sorted(carrying) if not net.consumers[p]]
         if ends:

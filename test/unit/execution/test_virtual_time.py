@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 from game_driver import make_plan
 from test_reacting import guard_net, shop_net
+from test_task_orders import net_with_way_out, plan_of
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import read_log
@@ -216,3 +217,12 @@ def test_a_log_with_events_plays_again_alike(tmp_path):
     fired = Counter(firing.transition for step in steps for firing in step.firings)
     assert fired["low"] == result.firings["low"] > 10
     assert VirtualRun(plan).run(firings=300).firings == result.firings
+
+
+def test_tasks_are_cancelled_as_often_as_the_plan_says():
+    plan = plan_of(net_with_way_out(), on_cancel={"Deliver": "give_up"})
+    run = VirtualRun(replace(plan, events={"give_up": EventSource()}).validate(), seed=5)
+    fired = run.run(firings=6_000).firings
+    assert fired["give_up"] == pytest.approx(fired["delivered"], rel=0.15)  # both have rate 1
+    ended = {e.outcome for e in run.state.ended_tasks}
+    assert ended == {"done", "cancelled"}
