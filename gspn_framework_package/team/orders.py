@@ -35,7 +35,8 @@ PAGE, SUBMITTED = "page", "submitted"
 
 
 class Form(NamedTuple):
-    """How the page offers an order. ``{robot}``, ``{place}`` and so on stand for the fields,
+    """How the page offers an order, with another button for each flag that has a label.
+    ``{robot}``, ``{place}`` and so on stand for the fields,
     ``{run}`` for the run, ``{team}`` for its robots, ``{state}`` for what the robot does.
 
     :ivar where: ``header``; the card of a robot that is ``running``, ``paused`` or ``failed``, or
@@ -199,6 +200,7 @@ ORDERS: Dict[str, OrderKind] = {
                 "stop the actions as well: they are cancelled, and start again on resume",
                 required=False,
                 default=False,
+                label="Stop",
             ),
         ),
         lambda robot, stop: log_entries.Pause(robot, stop=stop),
@@ -542,6 +544,7 @@ def described() -> Dict[str, Dict[str, Any]]:
                     "name": field.name,
                     "kind": field.kind.value,
                     "label": field.label,
+                    "help": field.help,
                     "placeholder": field.placeholder,
                 }
                 for field in order.fields

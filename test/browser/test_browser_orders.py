@@ -64,8 +64,13 @@ def test_every_order_names_its_run_and_its_answer_is_shown(team, open_page, pict
     page.click("#pause-team:has-text('Resume the team')")
     team.hub.publish({"k": "status", "status": {"paused": False}})
 
+    page.click("#stop-actions")
+    page.wait_for_selector("#robots .orders li:has-text('Stop all actions')")
+
     order(page, "robot_1", "Pause")
     team.robot("robot_1", paused=True)
+    order(page, "robot_1", "Stop")
+    page.wait_for_selector("#robots .orders li:has-text('Stop robot_1')")
     order(page, "robot_1", "Resume")
     team.robot("robot_1", paused=False, phase="failed", why="its gripper is stuck")
     order(page, "robot_1", "Try again")
@@ -115,7 +120,9 @@ def test_every_order_names_its_run_and_its_answer_is_shown(team, open_page, pict
     assert team.given == [
         {"command": "pause", "run": "run_7"},
         {"command": "resume", "run": "run_7"},
+        {"command": "pause", "stop": True, "run": "run_7"},
         {"command": "pause", **one},
+        {"command": "pause", "stop": True, **one},
         {"command": "resume", **one},
         {"command": "retry", **one},
         {"command": "set_place", "place": "there", **one},

@@ -468,11 +468,16 @@ class Page {
     $("stop").hidden = !running || !orders.offers("stop");
     $("pause-team").hidden = !running || !orders.offers("pause");
     $("pause-team").textContent = status.paused ? "Resume the team" : "Pause the team";
-    for (const id of ["start", "to-simulate", "stop", "pause-team", "relayout"]) {
+    $("stop-actions").hidden = $("pause-team").hidden;
+    for (const id of ["start", "to-simulate", "stop", "pause-team", "stop-actions", "relayout"]) {
       $(id).disabled = Boolean(orders.refusal);
       $(id).title =
         orders.refusal ||
-        { stop: `Stop the run “${orders.runName}”`, relayout: "Lay out again" }[id] ||
+        {
+          stop: `Stop the run “${orders.runName}”`,
+          "stop-actions": "The team pauses, and actions are cancelled; they start again on resume",
+          relayout: "Lay out again",
+        }[id] ||
         "";
     }
     this.robots.later();
@@ -546,6 +551,7 @@ class Page {
         paused ? "Resume the team" : "Pause the team",
       );
     };
+    $("stop-actions").onclick = () => this.orders.give("pause", { stop: true }, "Stop all actions");
     $("to-simulate").onclick = () => attempt(() => this.tools.do("simulate"));
   }
 

@@ -76,9 +76,21 @@ export class Orders extends EventTarget {
 
   /** The buttons of the orders whose form stands there, with these fields. */
   buttons(where, fields) {
-    return this.at(where).map((command) =>
+    return this.at(where).flatMap((command) => [
       this.button(command, Object.values(fields).join(" "), () => this.order(command, fields)),
-    );
+      ...this.flagged(command, fields),
+    ]);
+  }
+
+  /** The buttons that give an order with one of its flags. */
+  flagged(command, fields) {
+    const flags = this.table[command].fields.filter(({ kind, label }) => kind === "flag" && label);
+    return flags.map(({ name, label, help }) => {
+      const about = `${Object.values(fields).join(" ")} ${name}`;
+      const says = `${label} ${fields.robot || "all actions"}`;
+      const give = () => this.give(command, { ...fields, [name]: true }, says);
+      return this.button(command, about, give, { label, about: help });
+    });
   }
 
   /** A button that calls `act`, or shows why it is disabled; null if the run does not accept `command`. */
@@ -282,6 +294,7 @@ export class Orders extends EventTarget {
     return [
       ...(is.failed ? this.buttons("failed", fields) : []),
       ...this.buttons(robot.paused ? "paused" : "running", fields),
+      ...(robot.paused && this.offers("pause") ? this.flagged("pause", fields) : []),
       ...this.ofTask(robot.task),
       rare.length > 0 &&
         this.button(rare[0], robot.name, () => this.more(robot), {
