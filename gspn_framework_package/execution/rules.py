@@ -9,6 +9,7 @@ from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import RobotState, TeamState
 from gspn_framework_package.execution.team_tasks import FoundTask
 from gspn_framework_package.model.condition import parse_condition
+from gspn_framework_package.model.event import BY_PRIORITY
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import POLICY
 
@@ -49,6 +50,10 @@ class Rules:
         )
         self.immediate = net.immediate_from
         self.queues = frozenset(net.place_number(p) for p in plan.tasks.queues)
+        self.queue_orders = {
+            net.place_number(p): plan.tasks.order.get(p, BY_PRIORITY) for p in plan.tasks.queues
+        }
+        """Queue -> the order in which its tasks are taken."""
         self.task_done = frozenset(net.transition_number(t) for t in plan.tasks.done)
         self.on_cancel = {
             net.place_number(p): None if t is None else net.transition_number(t)

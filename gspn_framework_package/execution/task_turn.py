@@ -14,9 +14,10 @@ from gspn_framework_package.execution.team_tasks import (
     TASK_LATE,
     FoundTask,
     Task,
-    by_priority,
+    queued,
 )
 from gspn_framework_package.execution.turn import Turn
+from gspn_framework_package.model.event import BY_ARRIVAL
 
 KNOWN_TASKS = 10_000
 """Number of task ids remembered for each transition; older ids count as new."""
@@ -157,16 +158,26 @@ class TaskTurn(Turn):
         else:
             state.submitted = [item for item in state.submitted if item[1].id != found.task.id]
 
+    def _change(self, found: FoundTask, task: Task) -> None:
+        """Replace a task of a queue where it is."""
+        assert found.place is not None
+        queue = self.state.queues[found.place]
+        self.state.queues[found.place] = [task if t.id == task.id else t for t in queue]
+
     def _prioritise(self, found: FoundTask, priority: int) -> None:
         task = found.task._replace(priority=priority)
         robot = self.state.robots.get(found.robot)
         if robot is not None:
             robot.task = task
             return
+        order = "" if found.place is None else self.rules.queue_orders[found.place]
+        if order == BY_ARRIVAL:
+            self._change(found, task)
+            return
         self._take_out(found)
         if found.place is not None:
             queue = self.state.queues[found.place]
-            self.state.queues[found.place] = by_priority(queue, task)
+            self.state.queues[found.place] = queued(queue, task, order)
         elif found.before is not None:
             self._wait_outside(found.before, task)
 
@@ -211,7 +222,7 @@ class TaskTurn(Turn):
             # its task goes first, because it arrived before those still waiting
             queue = self.state.queues.get(p, [])
             for task in [*[Task()] * (count - 1), robot.task or Task()]:
-                queue = by_priority(queue, task, first=True)
+                queue = queued(queue, task, self.rules.queue_orders[p], first=True)
             self.state.queues[p] = queue
             if robot.task is not None and robot.task.id:
                 self._fault_of_task(robot, "returns task %s to %s" % (robot.task.id, resource))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, List, Mapping, NamedTuple, Optional, Sequence
+import math
+from typing import Any, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.execution.log_entries import NOTHING
 from gspn_framework_package.model.data import check_values
+from gspn_framework_package.model.event import BY_ARRIVAL, BY_DEADLINE
 from gspn_framework_package.model.net import Net
 
 
@@ -89,13 +91,27 @@ ENDED_TASKS = 100
 """Number of ended tasks that a team remembers, the newest."""
 
 
-def by_priority(queue: Sequence[Task], task: Task, *, first: bool = False) -> List[Task]:
-    """A queue with another task, behind those with at least its priority.
+def rank(task: Task, order: str) -> Tuple[float, ...]:
+    """What decides the place of a task in a queue: those with a lower rank come first.
 
-    :param first: whether it goes before others of its priority, as one that returns does.
+    :param order: one of :data:`~gspn_framework_package.model.event.QUEUE_ORDERS`.
     """
-    floor = task.priority + first
-    at = next((i for i, other in enumerate(queue) if other.priority < floor), len(queue))
+    if order == BY_ARRIVAL:
+        return ()
+    if order == BY_DEADLINE:
+        return (task.until or math.inf, -task.priority)
+    return (-task.priority,)
+
+
+def queued(queue: Sequence[Task], task: Task, order: str, *, first: bool = False) -> List[Task]:
+    """A queue with another task, behind those with at most its rank.
+
+    :param order: see :func:`rank`.
+    :param first: whether it goes before others of its rank, as one that returns does.
+    """
+    own = rank(task, order)
+    ranks = enumerate(rank(other, order) for other in queue)
+    at = next((i for i, other in ranks if other > own or (first and other == own)), len(queue))
     return [*queue[:at], task, *queue[at:]]
 
 

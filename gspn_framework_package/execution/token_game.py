@@ -16,7 +16,7 @@ from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.rules import Rules
 from gspn_framework_package.execution.task_turn import TaskTurn
 from gspn_framework_package.execution.team_state import RobotState, StagedPlan, TeamState
-from gspn_framework_package.execution.team_tasks import Task
+from gspn_framework_package.execution.team_tasks import Task, rank
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.kept import Kept
 from gspn_framework_package.model.plan import LostKind
@@ -343,7 +343,8 @@ class _Reducer(TaskTurn):
             tasks = state.queues.get(p) or [Task()] * state.marking[p]
             if target in game.queues and tasks:
                 merged = [*queues.get(target, ()), *tasks]
-                queues[target] = sorted(merged, key=lambda task: -task.priority)
+                order = game.queue_orders[target]
+                queues[target] = sorted(merged, key=lambda task: rank(task, order))
         for target in game.queues:
             tokens = game.net.places[target].tokens
             if target not in inherited and tokens:

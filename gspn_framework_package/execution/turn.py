@@ -24,8 +24,8 @@ from gspn_framework_package.execution.team_tasks import (
     TASK_DONE,
     TASK_LOST,
     Task,
-    by_priority,
     first_of,
+    queued,
 )
 from gspn_framework_package.model.data import NAMES_LIMIT, split
 from gspn_framework_package.model.failure import FailureEnd
@@ -346,7 +346,7 @@ class Turn:
             at_hand.append((incoming, ""))
         for p in wanted:
             task, source = at_hand.pop(0) if at_hand else (Task(), "")
-            state.queues[p] = by_priority(state.queues.get(p, ()), task)
+            state.queues[p] = queued(state.queues.get(p, ()), task, self.rules.queue_orders[p])
             moves.append(TaskMove(task.id, source, "place " + self._name(p)))
         stay = [robot for robot, target in zip(movers, targets) if target is not None]
         takers = [robot for robot in stay if robot.task is None]

@@ -403,6 +403,10 @@ def _with(plan: Plan, part: SubnetPart) -> Plan:
                 },
                 **plan.tasks.on_cancel,
             },
+            {
+                **{names[place]: order for place, order in inner.tasks.order.items()},
+                **plan.tasks.order,
+            },
         ),
         notes=plan.notes + tuple("%s: %s" % (part.name, note) for note in inner.notes),
     )

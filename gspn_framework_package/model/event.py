@@ -124,10 +124,19 @@ class EventSource(NamedTuple):
         return {k: v for k, v in given.items() if v != getattr(default, k, None)}
 
 
+BY_ARRIVAL, BY_PRIORITY, BY_DEADLINE = "arrival", "priority", "deadline"
+QUEUE_ORDERS = (BY_ARRIVAL, BY_PRIORITY, BY_DEADLINE)
+"""The orders in which the tasks of a queue are taken: as they came; those of a higher priority
+before others; those that are late sooner before others, and of these those of a higher priority.
+Among equals, the first that came is the first to be taken."""
+
+
 class Tasks(NamedTuple):
-    """The tasks of a plan: ``queues`` are resource places whose tokens are tasks, taken in order of
-    arrival; a robot that takes a token carries the task. The transitions ``done`` complete the task
-    of a robot.
+    """The tasks of a plan: ``queues`` are resource places whose tokens are tasks; a robot that
+    takes a token carries the task. The transitions ``done`` complete the task of a robot.
+
+    ``order``: queue -> one of :data:`QUEUE_ORDERS`; a queue that is not there is taken
+    :data:`BY_PRIORITY`.
 
     ``on_cancel``: action place -> the transition for which a robot there asks when its task is
     cancelled; None: it goes on with its action, without the task. Elsewhere its action is cancelled
@@ -137,6 +146,7 @@ class Tasks(NamedTuple):
     queues: Tuple[str, ...] = ()
     done: Tuple[str, ...] = ()
     on_cancel: Mapping[str, Optional[str]] = {}
+    order: Mapping[str, str] = {}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Tasks:
@@ -145,6 +155,7 @@ class Tasks(NamedTuple):
             tuple(data.get("queues", ())),
             tuple(data.get("done", ())),
             dict(data.get("on_cancel", {})),
+            dict(data.get("order", {})),
         )
 
     def to_json(self) -> Dict[str, Any]:
@@ -152,4 +163,6 @@ class Tasks(NamedTuple):
         found: Dict[str, Any] = {"queues": list(self.queues), "done": list(self.done)}
         if self.on_cancel:
             found["on_cancel"] = dict(self.on_cancel)
+        if self.order:
+            found["order"] = dict(self.order)
         return found

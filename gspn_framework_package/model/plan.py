@@ -31,7 +31,7 @@ from gspn_framework_package.model.action import Action, outcomes_of, why_not_val
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.duration import Duration, Evidence
 from gspn_framework_package.model.errors import PlanError
-from gspn_framework_package.model.event import EventSource, Tasks
+from gspn_framework_package.model.event import QUEUE_ORDERS, EventSource, Tasks
 from gspn_framework_package.model.failure import FailureEnd, FailureRule
 from gspn_framework_package.model.marking_function import Value, written
 from gspn_framework_package.model.net import Net
@@ -398,6 +398,8 @@ class Plan:
             found["tasks"] = [list(self.tasks.queues), list(self.tasks.done)]
             if self.tasks.on_cancel:
                 found["tasks"].append(dict(self.tasks.on_cancel))
+            if self.tasks.order:
+                found["tasks"].append(["order", dict(self.tasks.order)])
         return found
 
     def for_robots(self, number: int) -> Plan:
@@ -594,6 +596,13 @@ class Plan:
                 raise self._error(
                     "tasks.queues",
                     "'%s' is not a resource place; its tokens are robots, not tasks" % place,
+                )
+        for place, order in self.tasks.order.items():
+            if place not in self.tasks.queues or order not in QUEUE_ORDERS:
+                raise self._error(
+                    "tasks.order.%s" % place,
+                    "there is no queue '%s' with an order '%s'" % (place, order),
+                    "choose a place of tasks.queues, and from: %s" % ", ".join(QUEUE_ORDERS),
                 )
         for name in self.tasks.done:
             self._known_transition(name, "tasks.done")

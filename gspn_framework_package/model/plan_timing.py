@@ -259,6 +259,12 @@ class PlanTiming:
                 "tasks from %s are alike: how long an action takes and what it names does not "
                 "depend on their data" % listed(plan.tasks.queues)
             )
+        if plan.tasks.order:
+            told = ["%s (by %s)" % item for item in plan.tasks.order.items()]
+            self.assumptions.append(
+                "tokens are counted, so the order in which tasks are taken from %s changes nothing "
+                "here; it does in runs, and in what simulate --log records" % listed(told)
+            )
 
 
 def unnamed(plan: Plan, place: int) -> int:

@@ -192,7 +192,15 @@ class ReactingChecks:
                 "tasks",
                 Severity.OK,
                 "tasks queue in %s and are done at %s; none gets lost (by structure)"
-                % (name_list(plan.tasks.queues), name_list(plan.tasks.done)),
+                % (
+                    name_list(
+                        "%s (by %s)" % (queue, plan.tasks.order[queue])
+                        if queue in plan.tasks.order
+                        else queue
+                        for queue in plan.tasks.queues
+                    ),
+                    name_list(plan.tasks.done),
+                ),
                 queues=list(plan.tasks.queues),
                 done=list(plan.tasks.done),
                 comes_in=list(plan.submissions),

@@ -34,6 +34,7 @@ class LoggedTask:
         priority: int = 0,
         robot: str = "",
         times: Tuple[int, int] = (0, 0),
+        until: int = 0,
     ) -> None:
         self.id = task_id
         self.data: Dict[str, Any] = dict(data or {})
@@ -41,6 +42,7 @@ class LoggedTask:
         self.robot = robot
         """The only robot that may take it; "" for any."""
         self.at, self.every = times
+        self.until = until
         self.came = 0
         """How many like it have come in."""
 
@@ -61,6 +63,7 @@ class Cargo:
         self._inputs, self._outputs = inputs, outputs
         self.entrances = set(plan.submissions)
         self._ends = set(plan.tasks.done)
+        self._orders = plan.tasks.order
         self.queues: Dict[str, List[LoggedTask]] = {
             place: [
                 LoggedTask() for _ in range(plan.net.places[plan.net.place_number(place)].tokens)
@@ -94,6 +97,7 @@ class Cargo:
         queues = self.queues
         self._inputs, self._outputs = inputs, outputs
         self.entrances, self._ends = set(plan.submissions), set(plan.tasks.done)
+        self._orders = plan.tasks.order
         self.queues = {place: [] for place in plan.tasks.queues}
         for place in set(self.queues) - {heir for _, heir in heirs}:
             tokens = plan.net.places[plan.net.place_number(place)].tokens
@@ -155,15 +159,29 @@ class Cargo:
         self.outside.append(
             (
                 entry.transition,
-                LoggedTask(entry.id, entry.data, entry.priority, entry.to, (entry.at, entry.every)),
+                LoggedTask(
+                    entry.id,
+                    entry.data,
+                    entry.priority,
+                    entry.to,
+                    (entry.at, entry.every),
+                    entry.until,
+                ),
             )
         )
         self._in_order()
 
     def _in_order(self, place: str = "") -> None:
         """Put the tasks of a queue, or those outside, in order; equal ones stay as they are."""
-        if place:
+        by = self._orders.get(place, "priority")
+        if place and by == "deadline":
+            ends = [task.until for task in self.queues[place]]
+            never = max(ends, default=0) + 1
+            self.queues[place].sort(key=lambda task: (task.until or never, -task.priority))
+        elif place and by == "priority":
             self.queues[place].sort(key=lambda task: -task.priority)
+        elif place:
+            return
         else:
             self.outside.sort(key=lambda item: -item[1].priority)
 
@@ -215,9 +233,10 @@ class Cargo:
         elif kind == "place":
             task = next(task for task in self.queues[where] if task.id == task_id)
             task.priority = priority
-            self.queues[where].remove(task)
-            self.queues[where].append(task)
-            self._in_order(where)
+            if self._orders.get(where) != "arrival":
+                self.queues[where].remove(task)
+                self.queues[where].append(task)
+                self._in_order(where)
         elif kind == "outside":
             item = next(item for item in self.outside if item[1].id == task_id)
             item[1].priority = priority

@@ -310,7 +310,7 @@ def _late_in_hand() -> ContextManager[Any]:
 
 
 def _first_in_first_out() -> ContextManager[Any]:
-    return mock.patch.object(turn, "by_priority", lambda queue, task, **_: [*queue, task])
+    return mock.patch.object(turn, "queued", lambda queue, task, *_, **__: [*queue, task])
 
 
 def _takes_tasks_of_others() -> ContextManager[Any]:

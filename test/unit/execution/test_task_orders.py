@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import math
+import random
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -17,9 +21,12 @@ from gspn_framework_package.cli.tasks import lines
 from gspn_framework_package.execution import log_entries, plan_change
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.displayed_data import displayed_tasks
+from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.firing import CancelAction, Fault
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import TeamState
+from gspn_framework_package.execution.verifier import verify
+from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import DataError, PlanError
 from gspn_framework_package.model.event import Tasks
@@ -143,6 +150,75 @@ def test_tasks_of_higher_priority_come_first() -> None:
     # a task that returns goes before others of its priority, and behind those of a higher one
     run.feed(log_entries.PrioritiseTask("o2", 1), log_entries.SetPlace("a", "Idle"))
     assert waiting(run) == ["o4", "o2", "o3", "o1"]
+
+
+def stated(order: str) -> Run:
+    """Two robots, of which one is paused, and a queue with this order."""
+    plan = plan_of(net_with_way_out(), robots=2, on_cancel={"Deliver": "give_up"}, idle=False)
+    tasks = plan.tasks._replace(order={"Orders": order})
+    return Run(replace(plan, tasks=tasks).validate(), in_order=True)
+
+
+@pytest.mark.parametrize(
+    ("order", "first", "prioritised", "returned"),
+    [
+        ("arrival", ["o1", "o2", "o3"], ["o1", "o2", "o3"], ["o1", "o2", "o3"]),
+        ("priority", ["o2", "o1", "o3"], ["o3", "o2", "o1"], ["o3", "o2", "o1"]),
+        ("deadline", ["o3", "o2", "o1"], ["o3", "o2", "o1"], ["o3", "o2", "o1"]),
+    ],
+)
+def test_the_plan_says_in_which_order_tasks_are_taken(
+    order: str, first: Any, prioritised: Any, returned: Any
+) -> None:
+    run = stated(order)
+    run.feed(submit("o1"), submit("o2", 1)._replace(until=900), submit("o3")._replace(until=500))
+    assert waiting(run) == first
+    run.feed(log_entries.PrioritiseTask("o3", 2))
+    assert waiting(run) == prioritised
+    assert run.done("a") == ["take"]
+    assert run.state.robots["a"].task.id == prioritised[0]
+    run.feed(log_entries.GiveBack(prioritised[0]), log_entries.Pause("a"))
+    assert waiting(run) == returned
+
+
+def steered(order: str, path: str) -> Any:
+    """A run with orders about tasks, drawn alike for every order of the queue; returns its tasks
+    as robots took them."""
+    plan = plan_of(net_with_way_out(), robots=2, on_cancel={"Deliver": "give_up"})
+    plan = replace(plan, tasks=plan.tasks._replace(order={"Orders": order})).validate()
+    run = VirtualRun(plan, seed=3, environment=False)
+    dice = random.Random(4)
+    with contextlib.closing(run.record_in(path, "run", "1")):
+        run.begin()
+        for number in range(80):
+            task = submit("o%d" % number, dice.choice([0, 0, 1, 5]))
+            run.order(task._replace(until=dice.choice([0, 400, 600, 900])))
+            one, chance = "o%d" % dice.randrange(80), dice.random()
+            if chance < 0.1:
+                run.order(log_entries.GiveBack(one))
+            elif chance < 0.2:
+                run.order(log_entries.CancelTask(one))
+            elif chance < 0.5:
+                run.order(log_entries.PrioritiseTask(one, dice.choice([0, 2])))
+            if number % 3 == 2:
+                run.step(math.inf)
+    log = read_log(path)
+    assert verify([log]).violation is None
+    firings = [f for record in log.records for f in record.get("firings", ())]
+    return tuple(move[0] for f in firings if f["transition"] == "take" for move in f["tasks"])
+
+
+def test_the_verifier_knows_the_order_of_a_queue(tmp_path: Path) -> None:
+    orders = ("arrival", "priority", "deadline")
+    taken = {steered(order, str(tmp_path / order)) for order in orders}
+    assert len(taken) == 3 and all(len(tasks) > 20 for tasks in taken)
+
+
+def test_an_order_of_a_queue_has_to_be_one() -> None:
+    for stated_order in ({"Orders": "size"}, {"Deliver": "arrival"}):
+        tasks = Tasks(("Orders",), order=stated_order)
+        with pytest.raises(PlanError, match="tasks.order"):
+            replace(plan_of(net_with_way_out()), tasks=tasks).validate()
 
 
 def test_a_task_in_a_robots_hands_is_given_back() -> None:
