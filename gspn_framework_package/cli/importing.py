@@ -1,4 +1,4 @@
-"""``gspn import``: makes a plan of a behaviour tree of another tool."""
+"""``gspn import``: makes a plan of a behaviour tree or a state machine of another tool."""
 
 from __future__ import annotations
 
@@ -9,14 +9,21 @@ from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.options import Argument, Arguments
 from gspn_framework_package.making.behaviour_tree import import_tree
+from gspn_framework_package.making.python_file import import_python
 
 OPTIONS: Arguments = {
-    Argument("tree_file", "TREE"): "a behaviour tree of BehaviorTree.CPP 4 (.xml)",
+    Argument(
+        "tree_file", "TREE"
+    ): "a behaviour tree: of BehaviorTree.CPP 4 (.xml) or py_trees (.py)",
     Argument("-o --output", "DIR", required=True): "the folder to create",
     Argument("--robots", "N", numbers.robots, 1): (
         "number of robots, each of which runs the tree (default %(default)s)"
     ),
-    Argument("--tree", "ID"): "the tree to begin with (default: the one that the file says)",
+    Argument("--tree", "ID"): (
+        "the tree to begin with (default: the one that the file says); of a Python file, the "
+        "function that makes it, or would run it, or the variable that holds it"
+    ),
+    "--run-file": "let a Python file run, which shows what it makes",
     "--json": "print a JSON object",
 }
 
@@ -25,7 +32,10 @@ EPILOG = "Exit codes: 0 the plan was written, 2 the file has what a plan cannot 
 
 def run(args: argparse.Namespace) -> int:
     """Make the plan."""
-    made = import_tree(args.tree_file, args.robots, args.tree)
+    if args.tree_file.endswith(".py"):
+        made = import_python(args.tree_file, args.robots, args.tree or "", args.run_file)
+    else:
+        made = import_tree(args.tree_file, args.robots, args.tree)
     files = made.write(args.output)
     if args.json:
         done = {
@@ -39,12 +49,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     print_notes(made.notes)
     print(
-        "%s: %d places, %d transitions; actions.py has a function for each leaf: %s"
-        % (
-            args.output,
-            len(made.net.places),
-            len(made.net.transitions),
-            ", ".join(made.functions.values()),
-        )
+        "%s: %d places, %d transitions; %s"
+        % (args.output, len(made.net.places), len(made.net.transitions), made.actions)
     )
     return 0

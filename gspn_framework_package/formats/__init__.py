@@ -9,9 +9,10 @@ Modules: ``colour_terms``, ``coloured``, ``difference``, ``dot``, ``draft``, ``e
 ``example_plans``, ``foreign``, ``format``, ``foxglove``, ``jani``, ``json_file``, ``json_update``,
 ``markov_chain``, ``message_files``, ``net_equality``, ``net_json``, ``net_update``, ``pipe``,
 ``pipe_update``, ``plan_file``, ``plan_json``, ``plan_parts``, ``pnml``, ``pnml_family``,
-``pnml_update``, ``pnpro``, ``pnpro_update``, ``prism``, ``registry``, ``repetition``, ``routes``,
-``schema_words``, ``source``, ``subnets``, ``symbolic``, ``thesis_input``, ``tina``, ``tool_data``,
-``vocabulary``, ``xml_tree``, ``xml_update``, ``yaml_file``.
+``pnml_update``, ``pnpro``, ``pnpro_update``, ``prism``, ``python_root``, ``registry``,
+``repetition``, ``routes``, ``schema_words``, ``source``, ``subnets``, ``symbolic``,
+``thesis_input``, ``tina``, ``tool_data``, ``vocabulary``, ``xml_tree``, ``xml_update``,
+``yaml_file``.
 """
 
 from gspn_framework_package.formats.draft import ReadOptions

@@ -1,6 +1,6 @@
 """Makes new plans from templates, maps and behaviour trees.
 
-Modules: ``behaviour_tree``, ``map_definitions``, ``plan_folder``, ``restrictions``,
-``site_drawing``, ``site_goals``, ``site_map``, ``site_names``, ``site_plan``, ``site_policy``,
-``site_tasks``, ``site_team``, ``templates``.
+Modules: ``behaviour_tree``, ``leaf_plan``, ``map_definitions``, ``plan_folder``, ``python_file``,
+``python_tree``, ``restrictions``, ``site_drawing``, ``site_goals``, ``site_map``, ``site_names``,
+``site_plan``, ``site_policy``, ``site_tasks``, ``site_team``, ``templates``.
 """

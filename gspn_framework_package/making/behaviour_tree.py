@@ -10,26 +10,27 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass
 from typing import (
     TYPE_CHECKING,
     Any,
     Callable,
     Dict,
-    Iterator,
     List,
     Mapping,
-    NamedTuple,
     Optional,
-    Tuple,
 )
 
 from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.formats.xml_tree import all_of, line_of, parse_xml, tag
-from gspn_framework_package.making.plan_folder import write_plan_folder
-from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.making.leaf_plan import (
+    MOST_LEAVES,
+    MOST_TREE_NODES,
+    ImportedPlan,
+    Leaf,
+    Target,
+    plan_of_leaves,
+)
 from gspn_framework_package.model.errors import InputError, UsageError
-from gspn_framework_package.model.net import Net
 
 if TYPE_CHECKING:
     from lxml import etree
@@ -39,12 +40,6 @@ SUCCESS_PLACE, FAILURE_PLACE = "SUCCESS", "FAILURE"
 
 ON_SUCCESS, ON_FAILURE = " succeeds", " fails"
 """What is appended to the name of a leaf's place for the names of its transitions."""
-
-MOST_LEAVES = 5_000
-"""Maximum number of places; repetitions and subtrees multiply."""
-
-MOST_TREE_NODES = 100_000
-"""Maximum number of nodes, with those that run no action."""
 
 _DEEPEST = 200
 """Maximum depth of a tree; subtrees that contain themselves have none."""
@@ -87,71 +82,7 @@ _SCRIPTS = re.compile(r"_(skipIf|successIf|failureIf|while|on\w+|post)$")
 _OF_THE_NODE = ("ID", "name")
 
 
-class Target:
-    """Where an arc goes.
-
-    :ivar name: the name of a place; "" until it is known.
-    """
-
-    def __init__(self, name: str = "") -> None:
-        self.name = name
-        self._other: Optional[Target] = None
-
-    def lead_to(self, other: Target) -> None:
-        """Say where it goes."""
-        self._other = other
-
-    def place(self) -> str:
-        """Return the name of the place; "" if it only leads back to itself."""
-        seen, target = set(), self
-        while target._other is not None:
-            if id(target) in seen:
-                return ""
-            seen.add(id(target))
-            target = target._other
-        return target.name
-
-
-@dataclass
-class _Leaf:
-    """A leaf: ``here`` leads to its place, whose name is ``wanted``, perhaps with a number."""
-
-    here: Target
-    wanted: str
-    action: Any
-    success: Target
-    failure: Optional[Target]
-    line: int
-    timeout: Optional[float] = None
-
-    @property
-    def place(self) -> str:
-        return self.here.name
-
-    def ends(self) -> Iterator[Tuple[str, Target]]:
-        """The names of its transitions, and where they lead."""
-        yield self.place + ON_SUCCESS, self.success
-        if self.failure is not None:
-            yield self.place + ON_FAILURE, self.failure
-
-
-class TreePlan(NamedTuple):
-    """A plan made of a tree: its ``net``, the ``plan`` object without it, the ``functions`` (kind
-    of leaf -> name in Python), and ``notes`` for people."""
-
-    net: Net
-    plan: Dict[str, Any]
-    functions: Dict[str, str]
-    notes: List[str]
-
-    def write(self, folder: str) -> List[str]:
-        """Write the plan into a new folder; see
-        :func:`~gspn_framework_package.making.plan_folder.write_plan_folder`."""
-        files = {"actions.py": _actions_text(self.functions)}
-        return write_plan_folder(folder, self.net, self.plan, None, files)
-
-
-def import_tree(path: str, robots: int = 1, tree: Optional[str] = None) -> TreePlan:
+def import_tree(path: str, robots: int = 1, tree: Optional[str] = None) -> ImportedPlan:
     """Make a plan of a file of BehaviorTree.CPP 4.
 
     :param path: the XML file.
@@ -189,49 +120,32 @@ class _Import:
                 "there is no tree '%s'" % self.name if self.name else "which tree is the main one?",
                 hint="--tree: choose from %s" % ", ".join(self._trees),
             )
-        self._leaves: List[_Leaf] = []  # the last first
+        self._leaves: List[Leaf] = []  # the last first
         self._notes: List[str] = []
         self._ports: Mapping[str, str] = {}  # of the present subtree
         self._depth = self._count = 0
 
-    def plan(self, robots: int) -> TreePlan:
+    def plan(self, robots: int) -> ImportedPlan:
         """The plan for a number of robots."""
         child = self._only_child(self._trees[self.name])
         begins = self._node(child, Target(SUCCESS_PLACE), Target(FAILURE_PLACE))
         self._leaves.reverse()
-        self._name_places()
-        start = begins.place()
-        if start in ("", SUCCESS_PLACE, FAILURE_PLACE):
-            raise InputError("the tree '%s' begins with no action" % self.name)
-        net = NetBuilder(self.name or "tree")
-        for leaf in self._leaves:
-            net.place(leaf.place, robots if leaf.place == start else 0)
-        net.place(SUCCESS_PLACE).place(FAILURE_PLACE)
-        for leaf in self._leaves:
-            for name, target in leaf.ends():
-                if not target.place():
-                    raise InputError(
-                        "after '%s' the tree repeats for ever what runs no action" % leaf.place,
-                        line=leaf.line,
-                    )
-                net.exponential(name, 1.0, None, leaf.place, target.place())
-        failing = [leaf for leaf in self._leaves if leaf.failure is not None]
-        plan: Dict[str, Any] = {
-            "plan": self.name or "tree",
-            "description": "The behaviour tree '%s', for %d robot%s."
-            % (self.name, robots, "" if robots == 1 else "s"),
-            "actions": {
-                **{leaf.place: leaf.action for leaf in self._leaves},
-                SUCCESS_PLACE: None,
-                FAILURE_PLACE: None,
-            },
-            "robots": {"robot_%d" % (n + 1): start for n in range(robots)},
-            "spawn": [start],
-            "on_failure": {leaf.place: "fire " + leaf.place + ON_FAILURE for leaf in failing},
-            "timeout": {leaf.place: leaf.timeout for leaf in failing if leaf.timeout is not None},
-            "until": "%s + %s >= %d" % (SUCCESS_PLACE, FAILURE_PLACE, robots),
-        }
-        return TreePlan(net.build(), plan, self._functions(), self._notes)
+        net, plan = plan_of_leaves(
+            self.name or "tree",
+            "behaviour tree '%s'" % self.name,
+            self._leaves,
+            begins,
+            (SUCCESS_PLACE, FAILURE_PLACE),
+            robots,
+        )
+        functions = self._functions()
+        return ImportedPlan(
+            net,
+            plan,
+            {"actions.py": _actions_text(functions)},
+            "actions.py has a function for each leaf: %s" % ", ".join(functions.values()),
+            self._notes,
+        )
 
     def _functions(self) -> Dict[str, str]:
         """The kinds of leaves, each with the name of its function."""
@@ -241,17 +155,6 @@ class _Import:
             if node and node not in found:
                 found[node] = _function_name(node, found.values())
         return found
-
-    def _name_places(self) -> None:
-        """Name the places as the leaves, with a number where several have one name."""
-        taken = {SUCCESS_PLACE, FAILURE_PLACE}
-        for leaf in self._leaves:
-            name, number = leaf.wanted, 1
-            while name in taken:
-                number += 1
-                name = "%s %d" % (leaf.wanted, number)
-            taken.add(name)
-            leaf.here.name = name
 
     # -- nodes: each gets where to go after its success and its failure, and returns its beginning
 
@@ -403,7 +306,10 @@ class _Import:
                 element,
                 "with its repetitions unfolded, the tree has more than %d leaves" % MOST_LEAVES,
             )
-        leaf = _Leaf(Target(), name, action, success, failure, line_of(element))
+        outcomes, failed = {ON_SUCCESS: success}, None
+        if failure is not None:
+            outcomes[ON_FAILURE], failed = failure, ON_FAILURE
+        leaf = Leaf(Target(), name, action, outcomes, failed, line=line_of(element))
         self._leaves.append(leaf)
         return leaf.here
 

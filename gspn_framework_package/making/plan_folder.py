@@ -61,6 +61,7 @@ def write_plan_folder(
         raise InputError("cannot create the folder (%s)" % error.strerror, file=folder) from None
     try:
         for name, content in contents.items():
+            os.makedirs(os.path.dirname(os.path.join(folder, name)), exist_ok=True)
             with open(os.path.join(folder, name), "wb") as file:
                 file.write(content)
         for name in plans:
