@@ -102,7 +102,30 @@ class Ended(NamedTuple):
     finished: bool
 
 
-GameCommand = Union[StartAction, CancelAction, Fault, Ended]
+class TaskEnded(NamedTuple):
+    """The team no longer has a task. ``outcome`` is one of
+    :data:`~gspn_framework_package.execution.team_tasks.OUTCOMES_OF_TASKS`, ``why`` says more, for
+    people. ``robot`` had it ("" if none), ``data`` is what it had with it in the end, ``since``
+    when it was submitted (seconds since 1970; 0 if that is not known), ``attempts`` how often a
+    robot took it."""
+
+    id: str
+    outcome: str
+    why: str
+    robot: str = ""
+    data: Mapping[str, Any] = NOTHING
+    since: int = 0
+    attempts: int = 0
+
+    def seconds(self, now: float) -> Optional[float]:
+        """How long the team had it (s); None if that is not known.
+
+        :param now: when it ended (seconds since 1970).
+        """
+        return max(0.0, now - self.since) if self.since else None
+
+
+GameCommand = Union[StartAction, CancelAction, Fault, Ended, TaskEnded]
 
 
 def firing_to_json(firing: Firing, net: Net) -> Dict[str, Any]:

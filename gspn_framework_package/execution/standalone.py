@@ -55,6 +55,7 @@ from gspn_framework_package.execution.firing import (
     Firing,
     GameCommand,
     StartAction,
+    TaskEnded,
 )
 from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.execution.local_kinds import (
@@ -106,6 +107,9 @@ class Listener:
 
     def on_feedback(self, agent: str, visit: int, progress: Tuple[Any, ...]) -> None:
         """The action of an agent reports its progress (called on the action's thread)."""
+
+    def on_task_ended(self, ended: TaskEnded) -> None:
+        """A task was done, cancelled, late or lost."""
 
     def on_fault(self, agent: str, message: str) -> None:
         """A fault occurred that a person should know about; ``agent`` is "" if the fault concerns
@@ -530,6 +534,8 @@ class StandaloneExecutor:
                 self._at(grace, lambda: self._report_deaf(command.robot, attempt))
         elif isinstance(command, Fault):
             self._listener.on_fault(command.robot, command.message)
+        elif isinstance(command, TaskEnded):
+            self._listener.on_task_ended(command)
         elif isinstance(command, Ended):
             self.result = command
             self._record({"kind": "ended", "reason": command.reason, "finished": command.finished})

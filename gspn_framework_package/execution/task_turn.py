@@ -75,7 +75,7 @@ class TaskTurn(Turn):
             self._cancel_task(there[0], "replaced by %s; " % entry.id)
             return True
         why = "it was to replace %s, which was not there" % entry.replaces
-        self.state.end_task(Task(entry.id), TASK_CANCELLED, why)
+        self._end_task(Task(entry.id), TASK_CANCELLED, why)
         return False
 
     def _wait_outside(self, t: int, task: Task) -> None:
@@ -136,7 +136,7 @@ class TaskTurn(Turn):
                 marking = list(state.marking)
                 marking[found.place] -= 1
                 state.set_marking(tuple(marking))
-        state.end_task(task, outcome, why + where)
+        self._end_task(task, outcome, why + where, found.robot)
 
     def _give_task_back(self, found: FoundTask) -> None:
         why = self.rules.why_not_given_back(self.state, found)

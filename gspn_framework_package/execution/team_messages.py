@@ -9,6 +9,7 @@ import json
 from typing import Any, Dict, List, Mapping, Tuple
 
 from gspn_framework_package.execution.agreement.interface import Fired
+from gspn_framework_package.execution.firing import TaskEnded
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import RobotState, TeamState, reported_phase
 from gspn_framework_package.execution.token_game import TokenGame
@@ -75,6 +76,24 @@ def firing_fields(fired: Fired, run: str) -> Dict[str, Any]:
         "private_move": fired.private,
         "hash": fired.hash,
         "details": json.dumps(details) if details else "",
+    }
+
+
+def task_fields(ended: TaskEnded, run: str, now: float) -> Dict[str, Any]:
+    """A task that ended, as a JSON object; ``seconds`` (None if not known) is how long the team had
+    it.
+
+    :param now: the time of day (seconds since 1970).
+    """
+    return {
+        "run": run,
+        "id": ended.id,
+        "outcome": ended.outcome,
+        "why": ended.why,
+        "robot": ended.robot,
+        "attempts": ended.attempts,
+        "seconds": ended.seconds(now),
+        "data": dict(ended.data),
     }
 
 

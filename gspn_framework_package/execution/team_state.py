@@ -288,12 +288,11 @@ class TeamState:
         return "the team has no task '%s'" % task_id
 
     def end_task(self, task: Task, outcome: str, why: str) -> None:
-        """Remember that a task ended; a token without a task is none."""
-        if task.id:
-            self.ended_tasks = [
-                *self.ended_tasks[1 - ENDED_TASKS :],
-                EndedTask(task.id, outcome, why),
-            ]
+        """Remember that a task ended."""
+        self.ended_tasks = [
+            *self.ended_tasks[1 - ENDED_TASKS :],
+            EndedTask(task.id, outcome, why),
+        ]
 
     def gone_with(self, t: int, task: str) -> Optional[RobotState]:
         """The lost or departed robot that carries the task with this id of transition ``t``; None

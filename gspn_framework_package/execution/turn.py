@@ -14,6 +14,7 @@ from gspn_framework_package.execution.firing import (
     GameCommand,
     Move,
     StartAction,
+    TaskEnded,
     TaskMove,
 )
 from gspn_framework_package.execution.log_entries import NOTHING
@@ -330,7 +331,8 @@ class Turn:
             for robot in movers:
                 if robot.task is not None:
                     moves.append(TaskMove(robot.task.id, "robot " + robot.name, "done"))
-                    state.end_task(robot.task, TASK_DONE, "%s with %s" % (name, robot.name))
+                    why = "%s with %s" % (name, robot.name)
+                    self._end_task(robot.task, TASK_DONE, why, robot.name)
                     robot.task = None
         wanted = [p for p, weight in self.net.outputs[t] if p in queues for _ in range(weight)]
         at_hand: List[Tuple[Task, str]] = []
@@ -358,7 +360,7 @@ class Turn:
             if not takers:
                 done = t in self.rules.task_done or not source
                 moves.append(TaskMove(task.id, source, "done" if done else "dropped"))
-                self.state.end_task(task, TASK_DONE if done else TASK_LOST, name)
+                self._end_task(task, TASK_DONE if done else TASK_LOST, name)
                 if task.id and not done:
                     self._fault_of_task(None, "drops task %s, which was not done" % task.id)
                 continue
@@ -380,12 +382,19 @@ class Turn:
         self.state.queues[p] = [task for i, task in enumerate(queue) if i not in taken]
         return [queue[i] for i in order[:weight]]
 
+    def _end_task(self, task: Task, outcome: str, why: str, robot: str = "") -> None:
+        """Note, and tell, that a task has ended; a token without a task is none."""
+        if task.id:
+            self.state.end_task(task, outcome, why)
+            ended = TaskEnded(task.id, outcome, why, robot, task.data, task.since, task.attempts)
+            self.commands.append(ended)
+
     def _drop_task(self, robot: RobotState) -> TaskMove:
         assert robot.task is not None
         move = TaskMove(robot.task.id, "robot " + robot.name, "dropped")
         if move.id:
             self._fault_of_task(robot, "drops task %s, which was not done" % move.id)
-        self.state.end_task(robot.task, TASK_LOST, "dropped by " + robot.name)
+        self._end_task(robot.task, TASK_LOST, "dropped by " + robot.name, robot.name)
         robot.task = None
         return move
 

@@ -13,7 +13,7 @@ from typing import Any, Dict, List, NamedTuple, Optional, Set
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import Record
-from gspn_framework_package.execution.firing import Ended, Fault
+from gspn_framework_package.execution.firing import Ended, Fault, TaskEnded
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.replayer import Replayed, Replayer
 from gspn_framework_package.execution.team_state import reported_phase
@@ -28,7 +28,7 @@ USES = ("acting", "waiting", "paused", "failed", "resting")
 failed for good; it has finished."""
 
 ALARM, _FAILURE, INTERVENTION = "alarm", "failure", "intervention"
-INTERRUPT, TASK, JOIN, END = "interrupt", "task", "join", "end"
+INTERRUPT, TASK, TASK_END, JOIN, END = "interrupt", "task", "task_end", "join", "end"
 """The kinds of moments."""
 
 _ORDERS = {
@@ -239,6 +239,8 @@ class StayFollower:
         for command in step.commands:
             if isinstance(command, Fault):
                 self._alarm(step, command)
+            elif isinstance(command, TaskEnded):
+                self._task_ended(step, command)
 
     def _entry(self, step: Replayed, entry: log_entries.Entry) -> None:
         robot = getattr(entry, "robot", "")
@@ -268,6 +270,12 @@ class StayFollower:
         if not fault.failed or phase.report.needs_operator or step.state.fault:
             place = self._replayer.game.net.places[robot.place].name if robot is not None else ""
             self._moment(step.slot, fault.robot, ALARM, fault.message, place)
+
+    def _task_ended(self, step: Replayed, ended: TaskEnded) -> None:
+        seconds = ended.seconds(self._at())
+        after = "" if seconds is None else " after %.0f s" % seconds
+        text = "%s: %s%s (%s)" % (ended.id, ended.outcome, after, ended.why)
+        self._moment(step.slot, ended.robot, TASK_END, text)
 
     def _moment(self, slot: int, robot: str, kind: str, detail: str, place: str = "") -> None:
         stay = self._open.get(robot)

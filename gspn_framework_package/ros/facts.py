@@ -10,13 +10,13 @@ from std_msgs.msg import String
 
 from gspn_framework_package.execution.team_messages import activity_fields
 from gspn_framework_package.msg import FiredTransition, Marking, RobotActivity, TeamState
-from gspn_framework_package.ros.messages import FIRED_TOPIC, stamped_message
+from gspn_framework_package.ros.messages import FIRED_TOPIC, TASKS_TOPIC, stamped_message
 from gspn_framework_package.ros.transport.eager_publisher import eager_publisher
 
 
 class RosFacts:
-    """Publishes ``/fired_transitions`` (gspn_framework_package/FiredTransition) and, in the
-    namespace of the robot and latched:
+    """Publishes ``/fired_transitions`` (gspn_framework_package/FiredTransition),
+    ``/finished_tasks`` (std_msgs/String, JSON) and, in the namespace of the robot and latched:
 
     - ``activity`` (std_msgs/String, JSON: see
       :meth:`~gspn_framework_package.team.self_report.SelfReport.activity`) and ``robot_activity``
@@ -29,6 +29,7 @@ class RosFacts:
 
     def __init__(self, namespace: str) -> None:
         self._fired = eager_publisher(FIRED_TOPIC, FiredTransition)
+        self._tasks = eager_publisher(TASKS_TOPIC, String)
 
         def latched(name: str, kind: Any) -> Any:
             return rospy.Publisher(
@@ -44,6 +45,10 @@ class RosFacts:
         """See :class:`Carrier`."""
         for fields in firings:
             self._fired.publish(stamped_message(FiredTransition, **fields))
+
+    def publish_task(self, task: Dict[str, Any]) -> None:
+        """See :class:`Carrier`."""
+        self._tasks.publish(json.dumps(task))
 
     def is_watched(self) -> bool:
         """See :class:`Carrier`."""

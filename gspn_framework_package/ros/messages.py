@@ -10,6 +10,9 @@ FIRED_TOPIC = "/fired_transitions"
 """All teams on a master publish their firings on this topic; each message names its run and
 plan."""
 
+TASKS_TOPIC = "/finished_tasks"
+"""All teams on a master tell on this topic of tasks that ended; each message names its run."""
+
 
 def stamped_message(kind: Callable[[], Any], **fields: Any) -> Any:
     """A message of the class ``kind`` with these fields, and the present time in its header.

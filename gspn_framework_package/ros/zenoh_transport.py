@@ -42,6 +42,11 @@ class PublishedOnRos(RosFacts):
         super().publish_firings(firings)
         self._carrier.publish_firings(firings)
 
+    def publish_task(self, task: Dict[str, Any]) -> None:
+        """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
+        super().publish_task(task)
+        self._carrier.publish_task(task)
+
     def is_watched(self) -> bool:
         """See :class:`Carrier`."""
         return super().is_watched() or self._carrier.is_watched()

@@ -82,6 +82,12 @@ class Carrier(Protocol):
             :func:`~gspn_framework_package.execution.team_messages.firing_fields`.
         """
 
+    def publish_task(self, task: Dict[str, Any]) -> None:
+        """Publish that a task has ended, with a slot that this robot decided.
+
+        :param task: see :func:`~gspn_framework_package.execution.team_messages.task_fields`.
+        """
+
     def is_watched(self) -> bool:
         """Whether anybody may be watching the activity now. It is published less often while nobody
         is."""

@@ -16,9 +16,15 @@ from gspn_framework_package.execution.actions import TEXT_LIMIT
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.replica import Replica
 from gspn_framework_package.execution.breakpoints import BreakpointFile, Breakpoints
-from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, StartAction
+from gspn_framework_package.execution.firing import (
+    CancelAction,
+    Ended,
+    Fault,
+    StartAction,
+    TaskEnded,
+)
 from gspn_framework_package.execution.phase import Phase
-from gspn_framework_package.execution.team_messages import firing_fields
+from gspn_framework_package.execution.team_messages import firing_fields, task_fields
 from gspn_framework_package.execution.team_state import StagedPlan
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.expression import shorten
@@ -440,6 +446,9 @@ class ReplicaHost:
     def _cancel_action(self, command: CancelAction) -> None:
         self._actions.cancel()
 
+    def _task_ended(self, ended: TaskEnded) -> None:
+        self._carrier.publish_task(task_fields(ended, self.run, time.time()))
+
     def _fault(self, fault: Fault) -> None:
         if fault.robot in ("", self.robot):
             self._reporter.warn(fault.message)
@@ -519,6 +528,7 @@ class ReplicaHost:
         StartAction: _start_action,
         CancelAction: _cancel_action,
         Fault: _fault,
+        TaskEnded: _task_ended,
         Ended: _ended,
     }
 

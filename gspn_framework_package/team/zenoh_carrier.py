@@ -180,6 +180,10 @@ class ZenohCarrier:
         for pack in _packs([_json(fields) for fields in firings]):
             self._put(pack, "fired")
 
+    def publish_task(self, task: Dict[str, Any]) -> None:
+        """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
+        self._put(_json(task), "tasks")
+
     def publish_activity(self, activity: Dict[str, Any]) -> None:
         """See :class:`~gspn_framework_package.team.carrier.Carrier`."""
         self._activity = _json(activity)

@@ -5,6 +5,7 @@ The names in Zenoh, each of which belongs to one robot (:func:`key_of`)::
     gspn/RUN/ROBOT/all/LANE         protocol messages of ROBOT to everybody
     gspn/RUN/ROBOT/to/OTHER/LANE    protocol messages of ROBOT to OTHER
     gspn/RUN/ROBOT/fired            the firings that ROBOT decided
+    gspn/RUN/ROBOT/tasks            the tasks that ended with slots that ROBOT decided
     gspn/RUN/ROBOT/activity         what ROBOT does; also answers queries, with the last one
     gspn/RUN/ROBOT/status           answers queries of watchers
     gspn/RUN/ROBOT/orders/OPERATOR  answers queries of that operator

@@ -17,7 +17,7 @@ from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.replica import Pace, ProtocolLimits, Replica
 from gspn_framework_package.execution.event_log import Record, header
-from gspn_framework_package.execution.firing import Ended, Fault, StartAction
+from gspn_framework_package.execution.firing import Ended, Fault, StartAction, TaskEnded
 from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.execution.verifier.merge import is_in_team_after
 from gspn_framework_package.model.compact_json import compact, compact_sorted
@@ -97,6 +97,7 @@ class SimulatedNode:
         self.renamed: Dict[str, str] = {}
         """What names of earlier plans are called in that plan."""
         self.faults: List[str] = []
+        self.told: List[TaskEnded] = []
         self.disk: Optional[Disk] = None
         self.old_disks: List[Disk] = []
         self.replica: Optional[Replica] = None
@@ -287,6 +288,8 @@ class SimulatedNode:
                 self.ended = True
             elif isinstance(effect, Fault):
                 self.faults.append(effect.message)
+            elif isinstance(effect, TaskEnded):
+                self.told.append(effect)
             elif isinstance(effect, interface.OrderResult):
                 self.results[effect.order_id] = effect
             elif isinstance(effect, interface.Fired):

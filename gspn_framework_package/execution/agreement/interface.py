@@ -34,7 +34,14 @@ from __future__ import annotations
 
 from typing import Any, Dict, Mapping, NamedTuple, Optional, Union
 
-from gspn_framework_package.execution.firing import CancelAction, Ended, Fault, Firing, StartAction
+from gspn_framework_package.execution.firing import (
+    CancelAction,
+    Ended,
+    Fault,
+    Firing,
+    StartAction,
+    TaskEnded,
+)
 from gspn_framework_package.execution.log_entries import NOBODY, NOTHING, Entry, Giver, Submit
 from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
@@ -275,6 +282,7 @@ Effect = Union[
     CancelAction,
     Fault,
     Ended,
+    TaskEnded,
     Examine,
     PlanChanged,
     OrderResult,

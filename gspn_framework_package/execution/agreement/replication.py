@@ -24,7 +24,7 @@ from gspn_framework_package.execution.agreement.proposer import Proposer
 from gspn_framework_package.execution.agreement.quorum import Ballot
 from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.event_log import Record
-from gspn_framework_package.execution.firing import Ended, Fault, StartAction
+from gspn_framework_package.execution.firing import Ended, Fault, StartAction, TaskEnded
 from gspn_framework_package.execution.ledger import Item, Ledger, Origin
 from gspn_framework_package.execution.token_game import Step
 from gspn_framework_package.model.errors import LogError
@@ -103,7 +103,9 @@ class Replication:
             published = mine and of_visit not in local
             plan = step.game_of(number, game).plan
             self.outbox.put(interface.Fired(firing, published, state.ledger.hash, plan))
-        self.outbox.put(*(c for c in step.commands if isinstance(c, (Fault, Ended))))
+        # who decided a slot tells of the tasks that ended with it
+        told = (Fault, Ended, TaskEnded) if mine else (Fault, Ended)
+        self.outbox.put(*(c for c in step.commands if isinstance(c, told)))
         self.membership.note_members(kept)
         delays = {
             (c.visit, c.attempt): c.delay

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import queue
 import threading
 from pathlib import Path
 from typing import Any, Dict, List, Tuple
@@ -12,14 +13,16 @@ from waiting import wait_for
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import header, read_log
-from gspn_framework_package.execution.firing import Firing
+from gspn_framework_package.execution.firing import Firing, TaskEnded
 from gspn_framework_package.execution.log_writer import EventLogWriter
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.standalone import Listener, StandaloneExecutor
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.execution.worker_pool import WorkerPool
+from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.formats.plan_json import plan_from_json
+from gspn_framework_package.making import templates
 from gspn_framework_package.model.errors import ExecutionError, PlanError, UsageError
 from gspn_framework_package.model.plan import Plan
 
@@ -358,3 +361,20 @@ def test_a_task_is_run_even_where_the_idle_threads_are_just_ending() -> None:
     pool = WorkerPool("test", idle_seconds=0.0005)
     for _ in range(100):
         run_thirty_at_once(pool)
+
+
+def test_a_listener_hears_how_tasks_ended(tmp_path: Path) -> None:
+    templates.write("deliver", str(tmp_path / "post"), robots=1)
+    told: queue.Queue[TaskEnded] = queue.Queue()
+
+    class Ears(Listener):
+        def on_task_ended(self, ended: TaskEnded) -> None:
+            told.put(ended)
+
+    executor = StandaloneExecutor(read_plan(str(tmp_path / "post")), Ears())
+    executor.start()
+    order = executor.submit("order", {"address": "door 7"})
+    executor.order(log_entries.CancelTask(order))
+    assert told.get(timeout=DEADLINE)[:2] == (order, "cancelled")
+    executor.stop()
+    assert executor.wait(DEADLINE) is not None

@@ -22,7 +22,7 @@ from gspn_framework_package.execution import log_entries, plan_change
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.displayed_data import displayed_tasks
 from gspn_framework_package.execution.event_log import read_log
-from gspn_framework_package.execution.firing import CancelAction, Fault
+from gspn_framework_package.execution.firing import CancelAction, Fault, TaskEnded
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.verifier import verify
@@ -109,7 +109,9 @@ def test_a_robot_may_go_on_with_its_action_without_its_task() -> None:
     run.feed(submit("o1"))
     commands = len(run.commands)
     assert run.feed(log_entries.CancelTask("o1")) == []
-    assert run.commands[commands:] == [] and run.state.robots["a"].task is None
+    (told,) = run.commands[commands:]
+    assert told == TaskEnded("o1", "cancelled", "with a in Deliver", "a", {}, 0, 1)
+    assert run.state.robots["a"].task is None
     assert run.done("a", "delivered") == ["delivered"]
     assert ended(run) == [("o1", "cancelled")]
 
@@ -368,6 +370,22 @@ def test_a_priority_has_bounds(priority: int) -> None:
         log_entries.make_prioritise("o1", priority)
 
 
+def test_who_listens_hears_once_how_each_task_ended() -> None:
+    run = shop(on_cancel={"Deliver": "give_up"}, idle=False)
+    run.feed(log_entries.Submit("order", "o1", {"pose": 1}, since=100), submit("o2"), submit("o3"))
+    run.done("a")
+    run.done("a", "delivered", {"task.weight": 7})
+    run.feed(log_entries.CancelTask("o2"), log_entries.CancelTask("o3", late=True))
+    told = [c for c in run.commands if isinstance(c, TaskEnded)]
+    assert [(t.id, t.outcome, t.robot) for t in told] == [
+        ("o1", "done", "a"),
+        ("o2", "cancelled", ""),
+        ("o3", "late", ""),
+    ]
+    assert told[0].data == {"pose": 1, "weight": 7} and told[0].seconds(130.5) == 30.5
+    assert told[1].seconds(130.5) is None  # nobody knows since when
+
+
 # -- in a team -------------------------------------------------------------------------------------
 
 
@@ -448,6 +466,27 @@ def test_the_first_running_robot_says_that_it_is_time() -> None:
     team = world.nodes["r1"].replica.ledger.state
     assert [found.task.id for found in team.tasks() if found.place] == ["t1-1", "t1-2"]
     assert result(world, "r1", log_entries.Submit("order", "t1-1")).text.endswith("in orders")
+    world.check()
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_one_robot_tells_how_a_task_ended(partial: bool) -> None:
+    world = errands(partial)
+    for number in (1, 2):
+        world.submit("r1", number)
+    world.done("r1", "look")
+    world.done("r1", "home")
+    world.done("r1", "delivered", {"task.weight": 7})
+    result(world, "r2", log_entries.CancelTask("t2"))
+    told = sorted(t for node in world.nodes.values() for t in node.told)
+    assert [(t.id, t.outcome, t.robot) for t in told] == [
+        ("t1", "done", "r1"),
+        ("t2", "cancelled", "r1"),
+    ]
+    assert told[0].data == {"weight": 7}
+    restart(world.nodes["r1"])
+    restart(world.nodes["r2"])
+    assert sum(len(node.told) for node in world.nodes.values()) == 2
     world.check()
 
 

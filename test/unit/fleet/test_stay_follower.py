@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, List, Tuple
 
+from game_driver import make_plan
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from logged_runs import Story, ring
@@ -11,6 +12,8 @@ from logged_runs import Story, ring
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.log_entries import Done, Failed
 from gspn_framework_package.fleet.stay_follower import DAY_SECONDS, StayFollower
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.event import Tasks
 from gspn_framework_package.model.failure import FailureRule
 from gspn_framework_package.model.plan import Plan
 
@@ -177,3 +180,28 @@ def sums(stays: Any) -> Any:
         known = found.get(key, (0,) * 6)
         found[key] = tuple(a + b for a, b in zip(known, (int(stay.arrived), *stay[6:11])))
     return {key: value for key, value in found.items() if any(value)}
+
+
+def test_how_a_task_ended_and_after_how_long_is_a_moment() -> None:
+    net = (
+        NetBuilder()
+        .place("Idle")
+        .place("Deliver")
+        .place("Orders")
+        .exponential("order", rate=1, outputs="Orders")
+        .immediate("take", inputs=["Idle", "Orders"], outputs="Deliver")
+        .exponential("delivered", rate=1, inputs="Deliver", outputs="Idle")
+        .build()
+    )
+    tasks = Tasks(("Orders",), ("delivered",), {"Deliver": None})
+    story = Story(make_plan(net, ["Idle"], ["Orders"], idle=["Idle"], tasks=tasks)).start()
+    begin = int(BEGIN)
+    story.slot(1.0, log_entries.Submit("order", "o1", since=begin + 1))
+    story.slot(2.0, log_entries.Submit("order", "o2"))
+    story.slot(31.0, Done("a", 0, 2, "delivered"))
+    story.slot(40.0, log_entries.CancelTask("o2"))
+    ends = [(m.robot, m.detail) for m in followed(story).moments if m.kind == "task_end"]
+    assert ends == [
+        ("a", "o1: done after 30 s (delivered with a)"),
+        ("a", "o2: cancelled (with a in Deliver)"),
+    ]

@@ -14,6 +14,7 @@ from gspn_framework_package.execution.event_log import LogFile, read_log
 from gspn_framework_package.execution.plan_change import stage_of
 from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.formats.plan_file import read_plan
+from gspn_framework_package.making import templates
 from gspn_framework_package.model.errors import PlanError, RefusedError
 from gspn_framework_package.team import host as host_module
 from gspn_framework_package.team.agent import PrintedReporter, make_agent
@@ -82,6 +83,7 @@ class Wire:
     def __init__(self):
         self.carriers = {}
         self.firings, self.activities, self.teams, self.refused = [], [], [], []
+        self.tasks = []
 
     def carrier(self, host):
         self.carriers[host.robot] = carrier = InMemory(self, host)
@@ -107,6 +109,9 @@ class InMemory:
 
     def publish_firings(self, firings):
         self.wire.firings += json.loads(json.dumps(firings))
+
+    def publish_task(self, task):
+        self.wire.tasks.append(json.loads(json.dumps(task)))
 
     def is_team_watched(self):
         return True
@@ -376,3 +381,18 @@ def test_an_action_that_a_robot_cannot_carry_out_is_refused(write, team, action,
     plan = write(actions={"Look": action, "Wait": None, "Home": None})
     with pytest.raises(error, match=says):
         team.start(plan, "robot_1")
+
+
+def test_one_robot_tells_everybody_how_a_task_ended(tmp_path, team):
+    templates.write("deliver", str(tmp_path / "post"), robots=2)
+    plan = read_plan(str(tmp_path / "post"))
+    team.start(plan, "robot_1", "robot_2")
+    team.wait_for_all()
+    order = json.dumps({"transition": "order", "id": "o1", "data": {"address": "door 7"}})
+    assert team.ask("robot_1", "submit", argument=order).success
+    assert team.ask("robot_2", "cancel", argument="o1").success
+    told = team.wire.tasks
+    team.wait_for(lambda: "o1" in [task["id"] for task in told], "how the task ended")
+    (task,) = [task for task in told if task["id"] == "o1"]
+    assert (task["run"], task["outcome"]) == ("monday", "cancelled")
+    assert 0 <= task["seconds"] < 60 and task["data"] == {"address": "door 7"}
