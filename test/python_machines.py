@@ -7,6 +7,7 @@ same ones. It writes its name into ``TRACE``, and gives up after ``MOST`` visits
 
 import random
 import sys
+import threading
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any, List, Tuple
@@ -34,11 +35,12 @@ class GaveUp(BaseException):
     pass
 
 
-def drawn(name, choices):
-    if len(TRACE) >= %(most)d:
+def drawn(name, choices, traced=True):
+    if traced and len(TRACE) >= %(most)d:
         raise GaveUp
     VISITS[name] += 1
-    TRACE.append(name)
+    if traced:
+        TRACE.append(name)
     return random.Random("%%s %%s %%d" %% (%(seed)d, name, VISITS[name])).choice(choices)
 
 """
@@ -63,6 +65,33 @@ class Leaf(py_trees.behaviour.Behaviour):
 def create_root():
     c, d, b = py_trees.composites, py_trees.decorators, py_trees.behaviours
     return %s
+"""
+
+_MACHINES = """\
+ENDS = ["ok", "bad", "odd"]
+
+
+class Leaf(smach.State):
+    def __init__(self, name, traced=True):
+        super().__init__(outcomes=ENDS, input_keys=["seen", "item"], output_keys=["seen"])
+        self.name, self.traced = name, traced
+
+    def execute(self, userdata):
+        result = drawn(self.name, ["ok", "ok", "bad", "odd"], self.traced)
+        if self.traced:
+            userdata.seen = userdata.seen + 1
+            TRACE.append((userdata.seen, userdata.item))
+        return result
+
+
+def machine():
+    return smach.StateMachine(outcomes=ENDS, input_keys=["seen", "item"], output_keys=["seen"])
+
+
+def create_machine():
+%s
+    root.userdata.seen, root.userdata.item = 0, "none"
+    return root
 """
 
 
@@ -127,6 +156,80 @@ def random_py_tree(seed: int) -> str:
     return head + "\n" + _TREES % node(4)
 
 
+def random_machine(seed: int) -> str:
+    """The text of a module with a random machine."""
+    draws, lines = random.Random(seed), []  # type: random.Random, List[str]
+    outcomes = ("ok", "bad", "odd")
+
+    def new(made: str) -> str:
+        variable = "m%d" % len(lines)
+        lines.extend(("%s = %s" % (variable, made), "with %s:" % variable))
+        return variable
+
+    def add(line: str) -> None:
+        lines.append("    " + line)
+
+    def leaf() -> str:
+        return 'Leaf("%s")' % draws.choice("ABCD")
+
+    def iterator(inner: str) -> str:
+        loops = draws.sample(outcomes, draws.randint(1, 2))
+        keys = "input_keys=['seen'], output_keys=['seen']"
+        variable = new(
+            "smach.Iterator(outcomes=list(ENDS), %s, it=%r, it_label='item', exhausted_outcome=%r)"
+            % (keys, "abc"[: draws.randint(0, 3)], draws.choice(outcomes))
+        )
+        add(
+            "smach.Iterator.set_contained_state('each', %s, loop_outcomes=%r, final_outcome_map=%r)"
+            % (inner, loops, {"odd": draws.choice(outcomes)})
+        )
+        return variable
+
+    def concurrence() -> str:
+        variable = new(
+            "smach.Concurrence(outcomes=ENDS, default_outcome='odd',"
+            " outcome_map={'ok': {'L': 'ok', 'R': 'ok'}, 'bad': {'L': 'bad'}},"
+            " outcome_cb=lambda ends: drawn(str(sorted(ends.items())), [None]))"
+        )
+        for side in "LR":
+            add("smach.Concurrence.add('%s', Leaf('%s%s', False))" % (side, side, variable))
+        return variable
+
+    def state(depth: int) -> str:
+        kind = draws.random()
+        if depth == 0 or kind < 0.5:
+            return leaf()
+        if kind < 0.7:
+            return machine(depth - 1)
+        return iterator(state(depth - 1)) if kind < 0.85 else concurrence()
+
+    def machine(depth: int) -> str:
+        labels = ["S%d" % number for number in range(draws.randint(1, 4))]
+        states = [state(depth) for _ in labels]
+        variable = new("machine()")
+        for label, made in zip(labels, states):
+            leads = {
+                outcome: draws.choice((*labels, *outcomes))
+                for outcome in outcomes
+                if draws.random() < 0.8
+            }
+            add("smach.StateMachine.add('%s', %s, transitions=%r)" % (label, made, leads))
+        return variable
+
+    lines.append("root = %s" % machine(3))
+    head = _HEAD % {"library": "smach", "most": MOST, "seed": seed}
+    return head + "\n" + _MACHINES % "\n".join("    " + line for line in lines)
+
+
+def quiet_smach() -> None:
+    """Let SMACH say nothing, and let the one of the package index find what Python 2 had."""
+    import smach
+
+    smach.set_loggers(*[lambda text: None] * 4)
+    if not hasattr(threading.Thread, "isAlive"):
+        threading.Thread.isAlive = threading.Thread.is_alive  # type: ignore[attr-defined]
+
+
 def plan_of_file(path: Path, robots: int = 1) -> ImportedPlan:
     """The plan of a file, which this process runs."""
     return plan_of_found(str(path), describe_file(str(path), ""), robots)
@@ -154,11 +257,23 @@ def run_by_py_trees(path: Path) -> Run:
     return module.TRACE, "runs on"
 
 
+def run_by_smach(path: Path) -> Run:
+    """What SMACH does."""
+    module = _loaded(path, "the_machine")
+    root = module.create_machine()
+    try:  # with userdata of its own: by default, all machines of a process share some
+        return module.TRACE, root.execute(module.smach.UserData())
+    except Exception as error:
+        if "GaveUp" not in str(error):
+            raise
+        return module.TRACE, None
+
+
 def run_by_plan(made: ImportedPlan, folder: Path) -> Run:
     """What a robot does in the plan, with the actions of its folder."""
     made.write(str(folder))
     actions = _loaded(folder / "actions.py", "the_actions")
-    actions.SECONDS_BETWEEN_TICKS = 0
+    actions.SECONDS_BETWEEN_TICKS = 0  # of trees
     net, marking = made.net, made.net.initial_marking
     ends = {place for place, action in made.plan["actions"].items() if action is None}
     while True:

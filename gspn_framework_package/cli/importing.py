@@ -14,7 +14,7 @@ from gspn_framework_package.making.python_file import import_python
 OPTIONS: Arguments = {
     Argument(
         "tree_file", "TREE"
-    ): "a behaviour tree: of BehaviorTree.CPP 4 (.xml) or py_trees (.py)",
+    ): "a behaviour tree of BehaviorTree.CPP 4 (.xml); of py_trees, or a machine of SMACH (.py)",
     Argument("-o --output", "DIR", required=True): "the folder to create",
     Argument("--robots", "N", numbers.robots, 1): (
         "number of robots, each of which runs the tree (default %(default)s)"

@@ -18,6 +18,8 @@ import threading
 import traceback
 from typing import Any, Dict, Iterator, List, Optional, Tuple
 
+from gspn_framework_package.formats.smach_machine import describe_machine, recording
+
 USUAL_NAMES = ("create_root", "create_tree", "create_machine", "create_state_machine", "main")
 """Functions and variables that are looked for if none is named."""
 
@@ -101,7 +103,7 @@ def _usual_name(names: Dict[str, Any]) -> str:
 
 def library_of(node: Any) -> Optional[str]:
     """Return the library of a node, ``py_trees`` or ``smach``; None if it is no node."""
-    for name, module, base in (("py_trees", "behaviour", "Behaviour"),):
+    for name, module, base in (("py_trees", "behaviour", "Behaviour"), ("smach", "state", "State")):
         library = sys.modules.get("%s.%s" % (name, module))
         if library is not None and isinstance(node, getattr(library, base)):
             return name
@@ -158,6 +160,24 @@ def _watched(lines: Optional[Dict[int, _Line]]) -> Iterator[None]:
         py_trees = importlib.import_module("py_trees")
         replace(py_trees.behaviour.Behaviour, "__init__", noting)
         replace(py_trees.trees.BehaviourTree, "__init__", stopping)
+    with contextlib.suppress(ImportError):
+        smach = importlib.import_module("smach")
+        replace(smach.State, "__init__", noting)
+        for name in ("StateMachine", "Concurrence", "Iterator"):
+            replace(getattr(smach, name), "execute", stopping)
+        smach_ros, rospy = (importlib.import_module(name) for name in ("smach_ros", "rospy"))
+        replace(
+            smach_ros.SimpleActionState,
+            "__init__",
+            lambda make: recording(make, always=lines is not None),
+        )
+        replace(smach_ros.IntrospectionServer, "start", lambda _: lambda *_: None)
+        # the robot's node is there already, and the reader needs no more than a time
+        replace(
+            rospy,
+            "init_node",
+            lambda _: lambda *_, **__: rospy.rostime.set_rostime_initialized(True),
+        )
     try:
         yield
     finally:
@@ -191,7 +211,7 @@ def describe_file(path: str, wanted: str) -> Dict[str, Any]:
     lines: Dict[int, _Line] = {}
     name, root = load_root(path, wanted, "the_imported_file", lines)
     kind = library_of(root)
-    node = _tree_node(root, lines)
+    node = _tree_node(root, lines) if kind == "py_trees" else describe_machine(root, lines)
     folder = os.path.dirname(os.path.abspath(path))
     beside = []
     for module in list(sys.modules.values()):

@@ -1,6 +1,7 @@
-"""Makes new plans from templates, maps and behaviour trees.
+"""Makes new plans from templates, maps, behaviour trees and state machines.
 
 Modules: ``behaviour_tree``, ``leaf_plan``, ``map_definitions``, ``plan_folder``, ``python_file``,
-``python_tree``, ``restrictions``, ``site_drawing``, ``site_goals``, ``site_map``, ``site_names``,
-``site_plan``, ``site_policy``, ``site_tasks``, ``site_team``, ``templates``.
+``python_machine``, ``python_tree``, ``restrictions``, ``site_drawing``, ``site_goals``,
+``site_map``, ``site_names``, ``site_plan``, ``site_policy``, ``site_tasks``, ``site_team``,
+``templates``.
 """

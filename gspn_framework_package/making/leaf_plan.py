@@ -128,7 +128,7 @@ def plan_of_leaves(
         for word, target in leaf.outcomes.items():
             if not target.place():
                 raise InputError(
-                    "after '%s' the tree repeats for ever what runs no action" % leaf.place,
+                    "after '%s' it repeats for ever what runs no action" % leaf.place,
                     file=leaf.file,
                     line=leaf.line,
                 )

@@ -15,6 +15,7 @@ from typing import Any, Callable, Dict, Mapping
 
 from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.making.leaf_plan import ImportedPlan
+from gspn_framework_package.making.python_machine import plan_of_machine
 from gspn_framework_package.making.python_tree import plan_of_tree
 from gspn_framework_package.model.errors import InputError, UsageError
 
@@ -28,7 +29,7 @@ _READER = "gspn_framework_package.formats.python_root"
 
 _Make = Callable[[str, str, Mapping[str, Any], int], ImportedPlan]
 
-_MAKERS: Mapping[str, _Make] = {"py_trees": plan_of_tree}
+_MAKERS: Mapping[str, _Make] = {"py_trees": plan_of_tree, "smach": plan_of_machine}
 
 
 def import_python(

@@ -64,7 +64,7 @@ def test_30_random_trees_of_py_trees_do_what_their_plans_do(tmp_path):
         ("c.Selector('s', False, [leaf('A'), leaf('B')])", "it has no memory"),
         ("Success('done')", "begins with no action"),
         ("c.Sequence('s', True, [leaf('A'), d.Repeat('r', Success('done'), -1)])",
-         "tree.py:6: after 'A' the tree repeats for ever what runs no action"),
+         "tree.py:6: after 'A' it repeats for ever what runs no action"),
         ("d.Retry('r', leaf('A'), 6000)", "more than 5000 leaves"),
         ("d.Retry('r', Success('done'), 900000)", "too many nodes"),
     ],
