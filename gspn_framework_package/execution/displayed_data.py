@@ -9,6 +9,7 @@ from typing import Any, Dict, List, Mapping, Optional, Sequence
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.rules import Rules
 from gspn_framework_package.execution.team_state import RobotState, TeamState
 from gspn_framework_package.execution.team_tasks import Task
 from gspn_framework_package.model.net import Net
@@ -90,12 +91,12 @@ def displayed_queue(tasks: Sequence[Task], brief: bool = False) -> List[List[Any
     return [[task.id, shown_values(task.data)] for task in tasks[:SHOWN_TASKS]]
 
 
-def displayed_tasks(state: TeamState, net: Net) -> Dict[str, Any]:
+def displayed_tasks(state: TeamState, rules: Rules) -> Dict[str, Any]:
     """The tasks of a team that are not done, and the last ones that ended.
 
     :returns: ``tasks``: for each its ``id``, ``where`` it is (in words), the ``transition``,
-        ``place`` or ``robot`` there (the others are ""), ``to`` (the only robot that may take it;
-        "" for any), ``trouble`` ("" if somebody works on it or
+        ``place`` or ``robot`` there (the others are ""), ``to`` (the only robot that may take it,
+        or what such robots can; "" for any), ``trouble`` ("" if somebody works on it or
         will), ``priority``, ``attempts`` (how often a robot took it) and ``since`` (seconds since
         1970; None if not known) and ``until`` (when it is late if it still waits; None for never),
         ``at`` (when it comes in; None if it has) and ``every`` (seconds after which another one
@@ -103,9 +104,11 @@ def displayed_tasks(state: TeamState, net: Net) -> Dict[str, Any]:
         ``ended``: for each its ``id``, ``outcome`` and ``why``, the last
         one last.
     """
-    tasks = []
+    tasks, net = [], rules.net
+    present = [robot.name for robot in state.active()]
     for found in state.tasks():
         task = found.task
+        waits_for = "" if any(rules.is_for(task.to, name) for name in present) else task.to
         robot = state.robots.get(found.robot)
         place = found.place if robot is None else robot.place
         tasks.append(
@@ -116,7 +119,7 @@ def displayed_tasks(state: TeamState, net: Net) -> Dict[str, Any]:
                 "place": "" if place is None else net.places[place].name,
                 "robot": found.robot,
                 "to": task.to,
-                "trouble": _trouble(robot, state.robots.get(task.to)),
+                "trouble": _trouble(robot, waits_for),
                 "priority": task.priority,
                 "attempts": task.attempts,
                 "since": task.since or None,
@@ -128,16 +131,16 @@ def displayed_tasks(state: TeamState, net: Net) -> Dict[str, Any]:
     return {"tasks": tasks, "ended": [ended._asdict() for ended in state.ended_tasks]}
 
 
-def _trouble(robot: Optional[RobotState], to: Optional[RobotState]) -> str:
+def _trouble(robot: Optional[RobotState], waits_for: str) -> str:
     """Why nobody goes on with a task, or will; "" if somebody does.
 
     :param robot: the robot that has it; None if it waits.
-    :param to: the only robot that may take it; None for any.
+    :param waits_for: who alone may take it, and is not there; "" if somebody is.
     """
+    if robot is None and waits_for:
+        return "only %s may take it, which is gone: cancel it, or submit another" % waits_for
     if robot is None:
-        if to is None or not to.phase.gone:
-            return ""
-        return "only %s may take it, which is gone: cancel it, or submit another" % to.name
+        return ""
     if robot.phase.gone:
         return "%s is %s: submit the task again, or cancel it" % (
             robot.name,

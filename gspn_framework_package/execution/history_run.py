@@ -385,7 +385,7 @@ def _beginning(plan: Plan, recorded: RecordedRun, names: PlanNames) -> Plan:
         own = known.get(name)
         if place not in plan.action_places:
             place = (own or plan.robots[0]).place
-        robots.append(RobotSpec(name, place, own.actions if own is not None else {}))
+        robots.append(own._replace(place=place) if own else RobotSpec(name, place))
     team = plan.with_robots(robots)
     resources = {names.new(place): count for place, count in recorded.resources.items()}
     kept = {place: n for place, n in resources.items() if place in plan.resource_places}

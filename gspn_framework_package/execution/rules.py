@@ -50,6 +50,7 @@ class Rules:
         )
         self.immediate = net.immediate_from
         self.queues = frozenset(net.place_number(p) for p in plan.tasks.queues)
+        self.capabilities = {r.name: r.capabilities for r in plan.robots if r.capabilities}
         self.queue_orders = {
             net.place_number(p): plan.tasks.order.get(p, BY_PRIORITY) for p in plan.tasks.queues
         }
@@ -97,12 +98,20 @@ class Rules:
     def may_take(self, state: TeamState, robot: RobotState, t: int) -> bool:
         """Whether the tasks that ``t`` takes are there for ``robot``: those for any robot, and if
         it moves alone, its own."""
-        own = robot.name if self.moves_one[t] else ""
+        alone = robot.name if self.moves_one[t] else ""
         for p, weight in self.takes.get(t, ()):
-            mine = (task for task in state.queues.get(p, ()) if task.to in ("", own))
+            mine = (task for task in state.queues.get(p, ()) if self.is_for(task.to, alone))
             if sum(1 for _ in itertools.islice(mine, weight)) < weight:
                 return False
         return True
+
+    def is_for(self, to: str, robot: str) -> bool:
+        """Whether a task is for a robot.
+
+        :param to: the only robot that may take it, or what such robots can; "" for any.
+        :param robot: the name of a robot; "" for several together.
+        """
+        return to in ("", robot) or to in self.capabilities.get(robot, ())
 
     def why_not_to(self, transition: str) -> str:
         """Why no robot can be named for the tasks that come in by a transition; "" if one can."""

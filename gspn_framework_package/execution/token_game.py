@@ -438,7 +438,9 @@ class _Reducer(TaskTurn):
             text = "is gone with task %s, which %s returns to no queue (on_evict); submit it again"
             self._fault_of_task(robot, text % (robot.task.id, self._name(robot.place)))
         for found in self.state.tasks():
-            if found.task.to == robot.name and not found.robot:
+            to = found.task.to
+            able = [to and self.rules.is_for(to, r.name) for r in (robot, *self.state.active())]
+            if able[0] and not any(able[1:]) and not found.robot:
                 text = "is gone, and task %s waits for it %s"
                 self._fault_of_task(robot, text % (found.task.id, found.where(self.net)))
         if robot.phase is Phase.LOST:

@@ -374,9 +374,10 @@ class Turn:
     def _take(self, p: int, weight: int, movers: List[RobotState]) -> List[Task]:
         """Take tasks out of a queue: the first that are not for other robots."""
         queue = self.state.queues.get(p, [])
-        for_them = ("", movers[0].name if len(movers) == 1 else "")
+        alone = movers[0].name if len(movers) == 1 else ""
         order = sorted(
-            range(len(queue)), key=lambda i: bool(movers) and queue[i].to not in for_them
+            range(len(queue)),
+            key=lambda i: bool(movers) and not self.rules.is_for(queue[i].to, alone),
         )
         taken = set(order[:weight])
         self.state.queues[p] = [task for i, task in enumerate(queue) if i not in taken]

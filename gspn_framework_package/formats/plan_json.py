@@ -268,6 +268,7 @@ def _robots(data: Any, file: Optional[str]) -> Any:
             r["name"],
             r["place"],
             {p: action_from_json(p, a) for p, a in r.get("actions", {}).items()},
+            tuple(r.get("capabilities", ())),
         )
         for r in data
     )
@@ -296,6 +297,7 @@ def plan_to_json(plan: Plan) -> Dict[str, Any]:
                 "name": r.name,
                 "place": r.place,
                 "actions": {p: action_to_json(a) for p, a in r.actions.items()},
+                **({"capabilities": list(r.capabilities)} if r.capabilities else {}),
             }
             for r in plan.robots
         ],
@@ -376,6 +378,6 @@ def plan_to_short_json(plan: Plan) -> Dict[str, Any]:
         for key, value in data.items()
         if key in ("net", "actions") or value != default.get(key)
     }
-    if plan.robots and not any(robot.actions for robot in plan.robots):
+    if plan.robots and not any(r.actions or r.capabilities for r in plan.robots):
         short["robots"] = {robot.name: robot.place for robot in plan.robots}
     return short

@@ -90,11 +90,13 @@ class LostRule(NamedTuple):
 
 class RobotSpec(NamedTuple):
     """A robot of the plan: its ``name``, its initial ``place`` and its own ``actions``, which
-    override those of the team (for teams of different robots)."""
+    override those of the team (for teams of different robots). ``capabilities`` are words by which
+    a task may ask for such robots."""
 
     name: str
     place: str
     actions: Mapping[str, Action] = {}
+    capabilities: Tuple[str, ...] = ()
 
 
 class Timing(NamedTuple):
@@ -376,6 +378,7 @@ class Plan:
                 for r in self.robots
                 if r.actions
             },
+            **self._capabilities_essence(),
             "resource_places": sorted(self.resource_places),
             "synchronisation": self.synchronisation.value,
             "seed": self.seed,
@@ -387,6 +390,11 @@ class Plan:
             "until": self.until,
             **self._reacting_essence(),
         }
+
+    def _capabilities_essence(self) -> Dict[str, Any]:
+        """What robots can, which decides who takes a task; empty if the plan does not say."""
+        found = {r.name: sorted(r.capabilities) for r in self.robots if r.capabilities}
+        return {"capabilities": found} if found else {}
 
     def _reacting_essence(self) -> Dict[str, Any]:
         """The parts of events and tasks that the token game reads; empty for a plan without
@@ -703,6 +711,13 @@ class Plan:
                     else "a robot has no name",
                 )
             names.add(robot.name)
+            for word in robot.capabilities:
+                if any(word == other.name for other in self.robots):
+                    raise self._error(
+                        "robot '%s'" % robot.name,
+                        "its capability '%s' is the name of a robot, so that no task could tell "
+                        "which is meant" % word,
+                    )
             for place in (robot.place,) + tuple(robot.actions):
                 self._known_place(place, "robot '%s'" % robot.name)
                 if place in self.resource_places:

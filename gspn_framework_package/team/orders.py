@@ -340,9 +340,10 @@ ORDERS: Dict[str, OrderKind] = {
             OrderField(
                 "to",
                 FieldKind.TEXT,
-                "the only robot that may take it (default: any)",
+                "the only robot that may take it, or a capability that the plan lists for robots "
+                "(default: any)",
                 required=False,
-                label="Only for the robot",
+                label="Only for the robot, or robots that can",
                 placeholder="any",
             ),
             OrderField(

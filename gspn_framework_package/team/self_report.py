@@ -123,7 +123,7 @@ class SelfReport:
     def tasks(self) -> Dict[str, Any]:
         """The tasks of the team, and how the last ones ended; see
         :func:`~gspn_framework_package.execution.displayed_data.displayed_tasks`."""
-        return displayed_tasks(self._replica.ledger.state, self._replica.ledger.game.net)
+        return displayed_tasks(self._replica.ledger.state, self._replica.ledger.game)
 
     def waits_for(self) -> str:
         """What this robot waits for: its action, the team, or its transition; "" if nothing."""

@@ -187,9 +187,10 @@ class Orders:
                 return why
         if not entry.to:
             return ""
-        robot = self._robot(entry.to)
-        if robot is None or robot.phase.gone:
-            return "there is no robot '%s' in the team" % entry.to
+        if not any(game.is_for(entry.to, robot.name) for robot in team.active()):
+            able = any(entry.to in words for words in game.capabilities.values())
+            what = "that can '%s'" if able else "'%s'"
+            return "there is no robot %s in the team" % (what % entry.to)
         return game.why_not_to(team.present_name(entry.transition))
 
     def _why_not_about_task(self, entry: log_entries.TaskOrder) -> str:

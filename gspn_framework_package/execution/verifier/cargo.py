@@ -40,7 +40,7 @@ class LoggedTask:
         self.data: Dict[str, Any] = dict(data or {})
         self.priority = priority
         self.robot = robot
-        """The only robot that may take it; "" for any."""
+        """The only robot that may take it, or what such robots can; "" for any."""
         self.at, self.every = times
         self.until = until
         self.came = 0
@@ -64,6 +64,7 @@ class Cargo:
         self.entrances = set(plan.submissions)
         self._ends = set(plan.tasks.done)
         self._orders = plan.tasks.order
+        self._able = {robot.name: robot.capabilities for robot in plan.robots}
         self.queues: Dict[str, List[LoggedTask]] = {
             place: [
                 LoggedTask() for _ in range(plan.net.places[plan.net.place_number(place)].tokens)
@@ -98,6 +99,7 @@ class Cargo:
         self._inputs, self._outputs = inputs, outputs
         self.entrances, self._ends = set(plan.submissions), set(plan.tasks.done)
         self._orders = plan.tasks.order
+        self._able = {robot.name: robot.capabilities for robot in plan.robots}
         self.queues = {place: [] for place in plan.tasks.queues}
         for place in set(self.queues) - {heir for _, heir in heirs}:
             tokens = plan.net.places[plan.net.place_number(place)].tokens
@@ -258,7 +260,7 @@ class Cargo:
         :param robot: the robot that it moves; "" if it moves several.
         """
         return all(
-            sum(task.robot in ("", robot) for task in self.queues[p]) >= n
+            sum(self._may_have(task, robot) for task in self.queues[p]) >= n
             for p, n in self._inputs[t].items()
             if p in self.queues
         )
@@ -324,10 +326,14 @@ class Cargo:
             moves.append((task.id, source, "done" if over else "dropped"))
         return [move for move in moves if move[0]]
 
+    def _may_have(self, task: LoggedTask, robot: str) -> bool:
+        """Whether a task is for everybody, for this robot, or for robots that can what it can."""
+        return task.robot in ("", robot, *self._able.get(robot, ()))
+
     def _first_for(self, movers: Sequence[str], place: str) -> LoggedTask:
         """The first task of a queue that is not for a robot other than the one that moves."""
         alone = movers[0] if len(movers) == 1 else ""
-        theirs = (t for t in self.queues[place] if not movers or t.robot in ("", alone))
+        theirs = (t for t in self.queues[place] if not movers or self._may_have(t, alone))
         return next(theirs, self.queues[place][0])
 
 

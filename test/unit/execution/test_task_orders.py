@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from game_driver import Run, make_plan
+from logged_runs import Story
 from test_reacting import shop_net
 from test_reacting_replica import ERRANDS, Team, restart
 
@@ -27,6 +28,7 @@ from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.execution.virtual_time import VirtualRun
+from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_json
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import DataError, PlanError
 from gspn_framework_package.model.event import Tasks
@@ -132,7 +134,7 @@ def test_a_task_of_a_robot_that_is_gone_can_be_cancelled() -> None:
     run = Run(plan, in_order=True)
     run.feed(submit("o1"))
     run.feed(log_entries.Evict("a", 0))
-    assert displayed_tasks(run.state, run.game.net)["tasks"][0]["trouble"] == (
+    assert displayed_tasks(run.state, run.game)["tasks"][0]["trouble"] == (
         "a is lost: submit the task again, or cancel it"
     )
     run.feed(log_entries.CancelTask("o1"))
@@ -252,9 +254,7 @@ def test_a_task_is_replaced() -> None:
 def test_a_task_comes_in_at_its_time_and_again() -> None:
     run = shop(idle=False)
     assert run.feed(submit("once")._replace(at=100), submit("all")._replace(at=50, every=20)) == []
-    where = [
-        (t["id"], t["at"], t["every"]) for t in displayed_tasks(run.state, run.game.net)["tasks"]
-    ]
+    where = [(t["id"], t["at"], t["every"]) for t in displayed_tasks(run.state, run.game)["tasks"]]
     assert where == [("once", 100, None), ("all", 50, 20)]
     due = log_entries.TaskDue("once", 100, 101)
     assert run.feed(due, due) == ["order"]
@@ -290,12 +290,45 @@ def test_a_task_may_be_for_one_robot() -> None:
     assert run.done("b", "delivered") == ["delivered", "take"]
     assert run.state.robots["b"].task.id == "o2"
     run.feed(b._replace(id="o4"), log_entries.Leave("b"))
-    told = displayed_tasks(run.state, run.game.net)["tasks"]
+    told = displayed_tasks(run.state, run.game)["tasks"]
     assert [t["trouble"] for t in told if t["id"] == "o4"] == [
         "only b may take it, which is gone: cancel it, or submit another"
     ]
     again = TeamState.from_json(run.state.to_json(run.game.net), run.game.net, run.game.queues)
     assert again == run.state
+
+
+def able(plan: Plan, **capabilities: Any) -> Plan:
+    """The plan, in which robots have these capabilities."""
+    robots = [r._replace(capabilities=capabilities.get(r.name, ())) for r in plan.robots]
+    return replace(plan, robots=tuple(robots)).validate()
+
+
+def test_a_task_may_be_for_robots_that_can_something(tmp_path: Path) -> None:
+    plan = able(plan_of(net_with_way_out(), robots=3), b=("fork", "arm"), c=("fork",))
+    assert plan_from_json(plan_to_json(plan)).robots == plan.robots
+    story = Story(plan)
+    run = Run(plan, in_order=True)
+    entries = [
+        log_entries.Submit("order", "o1", to="arm"),
+        log_entries.Submit("order", "o2", to="arm"),
+        log_entries.Submit("order", "o3", to="fork"),
+        log_entries.Submit("order", "o4", to="wings"),
+        submit("o5"),
+    ]
+    run.feed(*entries)
+    has = {name: robot.task and robot.task.id for name, robot in run.state.robots.items()}
+    assert has == {"a": "o5", "b": "o1", "c": "o3"} and waiting(run) == ["o2", "o4"]
+    troubles = {t["id"]: t["trouble"] for t in displayed_tasks(run.state, run.game)["tasks"]}
+    assert [task for task, why in troubles.items() if why] == ["o4"]
+    run.feed(log_entries.Leave("b"))
+    said = [c.message for c in run.commands if isinstance(c, Fault)]
+    assert "is gone, and task o2 waits for it in Orders" in said
+    story.start().slot(1.0, *entries)
+    story.slot(2.0, log_entries.Leave("b"))
+    assert verify([read_log(story.save(tmp_path / "run.jsonl"))]).violation is None
+    with pytest.raises(PlanError, match="is the name of a robot"):
+        able(plan, b=("c",))
 
 
 def test_a_row_of_the_policy_holds_a_robot_whose_tasks_are_for_others() -> None:
@@ -332,7 +365,7 @@ def test_a_team_says_where_its_tasks_are() -> None:
     run = shop(robots=2)
     run.feed(submit("o1")._replace(since=5), submit("o2"), submit("o3"))
     run.done("a", "delivered")
-    told = displayed_tasks(run.state, run.game.net)
+    told = displayed_tasks(run.state, run.game)
     assert [(t["id"], t["where"], t["attempts"]) for t in told["tasks"]] == [
         ("o3", "with a", 1),
         ("o2", "with b", 1),
@@ -341,7 +374,7 @@ def test_a_team_says_where_its_tasks_are() -> None:
     assert lines(told)[1].split() == ["o3", "with", "a", "in", "Deliver", "0", "1"]
     assert lines(told)[-1] == "o1: done (delivered with a)"
     run.feed(log_entries.CancelTask("o2"), log_entries.CancelTask("o3"))
-    assert "the team has no task" in lines(displayed_tasks(run.state, run.game.net))
+    assert "the team has no task" in lines(displayed_tasks(run.state, run.game))
     again = TeamState.from_json(run.state.to_json(run.game.net), run.game.net, run.game.queues)
     assert again == run.state
 
@@ -504,6 +537,13 @@ def test_a_task_for_a_robot_that_is_not_there_is_refused() -> None:
     world = errands()
     task = log_entries.Submit("order", "t1", to="r9")
     assert result(world, "r1", task).text == "there is no robot 'r9' in the team"
+    plan = able(agreement_plan(ERRANDS, 2, False, 0.0, 0.0, False), r2=("lift",))
+    other = Team(plan)
+    assert result(other, "r1", task._replace(to="lift")).ok
+    assert result(other, "r1", log_entries.Leave("r2")).ok
+    given = result(other, "r1", task._replace(id="t2", to="lift"))
+    assert not given.ok and given.text == "there is no robot that can 'lift' in the team"
+    other.check()
     assert result(world, "r1", task._replace(to="r2")).ok
     world.done("r1", "look")
     world.done("r1", "home")
