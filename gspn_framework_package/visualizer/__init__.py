@@ -9,5 +9,5 @@ Modules: ``activity``, ``analysis_jobs``, ``analysis_worker``, ``app``, ``bag_re
 ``openapi``, ``optimise_form``, ``optimised``, ``page_orders``, ``project``, ``reasons``,
 ``recording``, ``replay``, ``ros_node``, ``ros_prediction``, ``ros_watch``, ``run_marks``,
 ``scene``, ``serving``, ``session``, ``simulation``, ``simulation_form``, ``standalone_run``,
-``team_connection``, ``team_events``, ``team_watch``, ``zenoh_connection``.
+``streams``, ``team_connection``, ``team_events``, ``team_watch``, ``zenoh_connection``.
 """

@@ -10,7 +10,6 @@ import json
 import os
 import re
 import secrets
-import threading
 import time
 from typing import Any, Dict, Iterator, Optional, Tuple, Union
 
@@ -27,7 +26,7 @@ from gspn_framework_package.visualizer.analysis_jobs import AnalysisJobs
 from gspn_framework_package.visualizer.documents import Document, read_upload, run_net_document
 from gspn_framework_package.visualizer.editing import routes as editing
 from gspn_framework_package.visualizer.fleet_page import FleetPage
-from gspn_framework_package.visualizer.guard import SECURITY_HEADERS, Guard, LoginError, is_loopback
+from gspn_framework_package.visualizer.guard import SECURITY_HEADERS, Guard, LoginError
 from gspn_framework_package.visualizer.hub import Cursor, Hub
 from gspn_framework_package.visualizer.openapi import interface
 from gspn_framework_package.visualizer.optimise_form import FormError
@@ -35,6 +34,7 @@ from gspn_framework_package.visualizer.optimised import ROWS_PER_PART, ExistsErr
 from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.reasons import reasons_in
 from gspn_framework_package.visualizer.session import Session
+from gspn_framework_package.visualizer.streams import PING, Streams
 
 UPLOAD_BYTES = 12_000_000
 """Largest request in bytes; an upload is base64, so files of 8 MB fit."""
@@ -43,9 +43,6 @@ COMMAND_BYTES = 2_000_000
 
 LOGIN_BYTES = 4_000
 """Largest request, in bytes, from a peer that has not yet sent a token."""
-
-PING = 3.0
-"""Seconds of silence after which a stream sends a keep-alive."""
 
 GATHER = 0.012
 """Seconds during which a stream gathers events into one message."""
@@ -73,7 +70,7 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
     _add_session(app, project, streams)
     _add_analysis(app, project, jobs)
     _add_optimised(app, project, jobs)
-    editing.add_routes(app, project, _body)
+    editing.add_routes(app, project, _body, streams)
     deploying.add_routes(app, project, jobs, _body)
     _add_history(app, project)
     return app
@@ -395,46 +392,6 @@ def _number(key: str, default: int = 0) -> int:
     if not re.fullmatch("[0-9]{1,15}", text):
         raise UsageError("'%s' must be a whole number" % key)
     return int(text)
-
-
-class Streams:
-    """Counts the active streams: at most ``limit``, and at most half of them for one remote
-    peer."""
-
-    def __init__(self, limit: int) -> None:
-        self._condition = threading.Condition()
-        self._limit, self._taken = limit, 0
-        self._by_peer: Dict[str, int] = {}
-        self.closing = False
-
-    def take(self, peer: str = "") -> bool:
-        """Count a new stream of ``peer``; False if there are as many as allowed."""
-        with self._condition:
-            own = self._by_peer.get(peer, 0)
-            share = self._limit if not peer or is_loopback(peer) else max(2, self._limit // 2)
-            if self.closing or self._taken >= self._limit or own >= share:
-                return False
-            self._taken += 1
-            self._by_peer[peer] = own + 1
-            return True
-
-    def give_back(self, peer: str = "") -> None:
-        """Uncount a stream of ``peer``."""
-        with self._condition:
-            self._taken -= 1
-            self._by_peer[peer] -= 1
-            if not self._by_peer[peer]:
-                del self._by_peer[peer]
-            self._condition.notify_all()
-
-    def close(self) -> None:
-        """Ask all streams to end soon."""
-        self.closing = True
-
-    def wait(self, timeout: float) -> bool:
-        """Wait at most ``timeout`` seconds for all streams to end; return whether they have."""
-        with self._condition:
-            return self._condition.wait_for(lambda: self._taken == 0, timeout)
 
 
 class _Stream:

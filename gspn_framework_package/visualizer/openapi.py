@@ -60,6 +60,7 @@ API_PARAMETERS: Dict[str, Tuple[Schema, str]] = {
     "until": (TEXT, "the day after the last day, YYYY-MM-DD"),
     "robot": (TEXT, "only this robot"),
     "place": (TEXT, "only this place"),
+    "page": (TEXT, "tells a page that edits a plan from others"),
 }
 
 
@@ -95,6 +96,11 @@ def _list(fields: Mapping[str, Schema]) -> Schema:
     return {"type": "array", "items": _object(fields)}
 
 
+EDITORS: Dict[str, Schema] = {
+    "version": TEXT,
+    "editors": _list({"page": TEXT, "number": _WHOLE, "selection": NAMES}),
+}
+
 BOARD = _object(
     {
         "n": _WHOLE,
@@ -124,6 +130,7 @@ SCENE = _object(
 )
 CHANGES = _list({"kind": TEXT, "name": TEXT, "what": TEXT})
 NEW_PLAN = {"path": TEXT, "id": TEXT}
+SHARED: Dict[str, Schema] = {"version?": TEXT, "page?": TEXT}
 DOCUMENT = {"document": OBJECT}
 CHECKED = {**DOCUMENT, "page?": TEXT}
 EPOCH = {"epoch": TEXT}
@@ -362,9 +369,9 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ),
     ("POST", "/api/edit/save"): ApiOperation(
         "edit_save",
-        "Save a document; 412 if the files have changed since.",
+        "Save a document; 412, with theirs, if the files or the draft have changed since.",
         ("id",),
-        {"etag": TEXT, **DOCUMENT},
+        {"etag": TEXT, **SHARED, **DOCUMENT},
         {"etag": TEXT, "files": OBJECT, "written": NAMES, "notes": NAMES},
     ),
     ("POST", "/api/edit/save_as"): ApiOperation(
@@ -378,10 +385,35 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ),
     ("POST", "/api/edit/draft"): ApiOperation(
         "edit_draft",
-        "Store an unsaved document as a draft; null deletes the draft.",
+        "Store an unsaved document as a draft; null deletes the draft. 412, with theirs, if "
+        "somebody else has changed it since the version.",
         ("id",),
-        {"etag": TEXT, "document": _or_null(OBJECT)},
-        {"kept": FLAG},
+        {"etag": TEXT, **SHARED, "document": _or_null(OBJECT)},
+        {"kept": FLAG, "version": TEXT},
+    ),
+    ("GET", "/api/edit/latest"): ApiOperation(
+        "edit_latest",
+        "The state that all who edit a plan share: its draft or, without one, its files.",
+        ("id",),
+        answer={"version": TEXT, "etag": TEXT, "document": OBJECT, "draft": FLAG},
+    ),
+    ("POST", "/api/edit/here"): ApiOperation(
+        "edit_here",
+        "Say that a page edits a plan, and what is selected there; or that it is gone.",
+        ("id",),
+        {
+            "page": TEXT,
+            "gone?": FLAG,
+            "selection?": NAMES,
+            "at?": _or_null({"type": "array", "items": NUMBER}),
+        },
+        EDITORS,
+    ),
+    ("GET", "/api/edit/stream"): ApiOperation(
+        "edit_stream",
+        "The latest version of a plan and who edits it, as server-sent events.",
+        ("id", "page"),
+        media="text/event-stream",
     ),
     ("POST", "/api/edit/export"): ApiOperation(
         "edit_export",

@@ -1,5 +1,5 @@
 """What helps in the mode EDIT: the check after each edit, witnesses, the difference, the export;
-saving, drafts, and two people on one file."""
+saving, drafts, and files that change meanwhile."""
 
 import json
 import zipfile
@@ -217,38 +217,49 @@ def test_a_net_alone_is_opened_and_saved_as_a_plan(serve_folder, open_page, tmp_
             assert read_net(str(path)).place("Water").tokens == 3, format
 
 
-def test_two_people_on_one_file_lose_nothing(open_editor, axe, folder):
-    mine = open_editor(expect_errors=True)  # a conflict is an answer with an error status
-    theirs = open_editor()
-    edit(mine, "Rename", [[["plan", "plan"], "mine"]])
-    edit(theirs, "Give fuel", [[["net", "places", 2, "tokens"], 7]])
-    theirs.click("#ed-save")
-    theirs.wait_for_selector("#ed-status:has-text('Saved.')")
-    saved = json.loads((folder / "plan.json").read_text())
-    assert saved["net"]["places"][2]["tokens"] == 7
+def test_a_file_that_somebody_else_changes_is_merged_or_asked_about(open_editor, axe, folder):
+    page = open_editor(expect_errors=True)  # a conflict is an answer with an error status
+    file = folder / "plan.json"
+
+    def by_hand(tokens):
+        changed = json.loads(file.read_text())
+        changed["net"]["places"][2]["tokens"] = tokens
+        file.write_text(json.dumps(changed))
+        return changed
+
+    # changes of other elements are merged
+    by_hand(7)
+    edit(page, "Rename", [[["plan", "plan"], "mine"]])
+    page.keyboard.press("Control+s")
+    page.wait_for_selector("#ed-status:has-text('Saved.')")
+    saved = json.loads(file.read_text())
+    assert saved["plan"] == "mine" and saved["net"]["places"][2]["tokens"] == 7
     assert list(saved) == list(PLAN) and saved["description"] == PLAN["description"]
 
-    # the second one sees what would be overwritten, and cancels: nothing is written
-    mine.keyboard.press("Control+s")
-    mine.wait_for_selector("#ed-conflict .diff-changed:has-text('place Fuel, tokens: 7 → 5')")
-    axe(mine, "a conflict")
-    mine.click("#dialog button:has-text('Cancel')")
-    assert json.loads((folder / "plan.json").read_text()) == saved
-    mine.wait_for_selector("#ed-diff-title:has-text('From theirs to yours: 2 changes')")
+    # of the same element: they are shown; cancelled, nothing is written
+    edit(page, "Take fuel", [[["net", "places", 2, "tokens"], 4]])
+    by_hand(9)
+    page.click("#ed-save")
+    page.wait_for_selector("#ed-conflict .diff-changed:has-text('place Fuel, tokens: 9 → 4')")
+    page.wait_for_selector("#ed-conflict li:has-text('yours is 4, theirs 9')")
+    axe(page, "a conflict")
+    page.click("#dialog button:has-text('Cancel')")
+    assert json.loads(file.read_text())["net"]["places"][2]["tokens"] == 9
+    page.wait_for_selector("#ed-diff-title:has-text('From theirs to yours: 1 change')")
 
     # takes theirs, and finds the own state again by undo
-    mine.click("#ed-save")
-    mine.click("#dialog button:has-text('Take theirs')")
+    page.click("#ed-save")
+    page.click("#dialog button:has-text('Take theirs')")
     fuel = "() => window.gspn.edit.document.net.places[2].tokens"
-    mine.wait_for_function("() => !window.gspn.edit.document.dirty")
-    assert mine.evaluate(fuel) == 7
-    mine.click("#ed-undo")
-    assert mine.evaluate("() => window.gspn.edit.document.plan.plan") == "mine"
+    page.wait_for_function("() => !window.gspn.edit.document.dirty")
+    assert page.evaluate(fuel) == 9
+    page.click("#ed-undo")
+    assert page.evaluate(fuel) == 4
 
     # keeps the own one
-    mine.click("#ed-save")
-    mine.wait_for_selector("#ed-status:has-text('Saved.')")
-    assert json.loads((folder / "plan.json").read_text())["plan"] == "mine"
+    page.click("#ed-save")
+    page.wait_for_function("() => !window.gspn.edit.document.dirty")
+    assert json.loads(file.read_text())["net"]["places"][2]["tokens"] == 4
 
 
 def test_a_draft_is_kept_and_offered(open_editor, axe, folder):

@@ -2,5 +2,5 @@
 
 Modules: ``atomic``, ``check_worker``, ``check_workers``, ``choices``, ``drafts``, ``export``,
 ``findings``, ``help_routes``, ``open_document``, ``palette``, ``plan_files``,
-``plan_repository``, ``routes``, ``saving``.
+``plan_repository``, ``routes``, ``saving``, ``sharing``.
 """

@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import os
+import secrets
 import time
 from typing import Any, Dict, Optional
 
@@ -32,14 +33,20 @@ class Drafts:
         self._folder = folder
         self._place = os.path.join(folder.root, DRAFTS)
 
-    def keep(self, path: str, etag: str, document: JsonObject) -> None:
-        """Store a draft, replacing an earlier one.
+    def keep(self, path: str, etag: str, document: JsonObject) -> str:
+        """Store a draft, replacing an earlier one; return its version.
 
         :param path: the file that is edited.
         :param etag: the hash of its files when it was opened.
         :raises GspnError: it cannot be stored.
         """
-        draft = {"path": path, "etag": etag, "saved_at": time.time(), "document": document}
+        draft = {
+            "path": path,
+            "etag": etag,
+            "saved_at": time.time(),
+            "version": secrets.token_hex(8),
+            "document": document,
+        }
         data = json.dumps(draft, ensure_ascii=False, allow_nan=False).encode()
         if len(data) > LARGEST_DRAFT:
             raise InputError("the plan is too large for a draft: save it")
@@ -59,6 +66,7 @@ class Drafts:
         if os.path.islink(file):
             raise RefusedError("the draft is a link: it is not written")
         write_all(self._folder, self._place, {file: data})
+        return str(draft["version"])
 
     def _make_room(self) -> None:
         """Delete the drafts of files that no longer exist. :raises RefusedError: there are none."""
@@ -77,12 +85,19 @@ class Drafts:
 
     def of(self, path: str, etag: str) -> Optional[Dict[str, Any]]:
         """The draft of a file: ``document``, the ``etag`` of the files it was based on, when it was
-        ``saved_at`` (s since 1970), and whether the files have changed since (``outdated``)."""
+        ``saved_at`` (s since 1970), its ``version``, and whether the files have changed since
+        (``outdated``)."""
         draft = self._read(self._file(path))
         if draft is None or draft.get("path") != path:
             return None
-        found = {key: draft.get(key) for key in ("document", "etag", "saved_at")}
+        found = {key: draft.get(key) for key in ("document", "etag", "saved_at", "version")}
         return {**found, "outdated": draft.get("etag") != etag}
+
+    def version(self, path: str) -> str:
+        """The version of the draft of a file; "" if there is none."""
+        draft = self._read(self._file(path))
+        found = draft.get("version", "") if draft and draft.get("path") == path else ""
+        return found if isinstance(found, str) else ""
 
     def forget(self, path: str) -> None:
         """Delete the draft of a file, if there is one."""

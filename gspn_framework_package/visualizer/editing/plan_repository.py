@@ -7,7 +7,7 @@ import re
 import secrets
 import shutil
 import threading
-from typing import Callable, Dict, List, Mapping, NamedTuple, Optional
+from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional
 
 from gspn_framework_package.analysis.plan.completion import complete
 from gspn_framework_package.formats import pipe
@@ -33,6 +33,7 @@ from gspn_framework_package.visualizer.editing.open_document import (
 )
 from gspn_framework_package.visualizer.editing.plan_files import PlanFiles
 from gspn_framework_package.visualizer.editing.saving import changes_of, document_in, unfinished
+from gspn_framework_package.visualizer.editing.sharing import OutdatedError, SharedPlans
 
 FEW_ROWS = 40
 """In a new plan, a policy with more rows gets its own file."""
@@ -70,6 +71,7 @@ class PlanRepository:
     def __init__(self, folder: Folder) -> None:
         self.folder = folder
         self.drafts = Drafts(folder)
+        self.shared = SharedPlans()
         self._lock = threading.Lock()
         self._locks: Dict[str, threading.Lock] = {}
 
@@ -111,11 +113,17 @@ class PlanRepository:
                 return "the folder of %s is not writable" % os.path.basename(file)
         return ""
 
-    def save(self, path: str, etag: object, document: object) -> Saved:
+    def save(
+        self, path: str, etag: object, document: object, version: object = None, page: object = None
+    ) -> Saved:
         """Save a document to the files that it was opened from.
 
         :param etag: the hash of the files that it was opened from.
+        :param version: the version that it is based on; without one, it must be edited by no other
+            page.
+        :param page: the page that saves.
         :raises ConflictError: the files have changed since.
+        :raises OutdatedError: somebody has another draft of it.
         :raises GspnError: it cannot be saved; in this case, no file has changed.
         """
         new = document_in(document)
@@ -128,31 +136,98 @@ class PlanRepository:
             reason = self.read_only(opened)
             if reason:
                 raise RefusedError(reason, file=opened.path)
+            if self.drafts.version(opened.path):
+                self._check_latest(opened.path, version, page)
             changes = changes_of(opened, new)
             if changes.contents:
                 place = os.path.dirname(opened.parts.plan_file)
                 write_all(self.folder, place, changes.contents)
                 opened = self._open(path)
             self.drafts.forget(opened.path)
+            self.shared.changed(opened.path, opened.etag)
         return Saved(opened, [self._name(file) for file in changes.contents], changes.notes)
 
-    def keep_draft(self, path: str, etag: object, document: object) -> bool:
+    def keep_draft(
+        self,
+        path: str,
+        etag: object,
+        document: object,
+        version: object = None,
+        page: object = None,
+    ) -> str:
         """Store or delete unsaved work.
 
-        :param document: the document, which may be unfinished; None to delete the draft.
-        :returns: whether there is a draft now.
+        :param document: the document, which may be unfinished; None to delete the draft, which is
+            kept if another page edits the plan, or has changed it since.
+        :param version: the version that the document is based on; without one, no other page may
+            edit the plan.
+        :param page: the page that sends it.
+        :returns: the version of the draft; "" if there is none now.
+        :raises OutdatedError: somebody has changed the plan since that version.
         :raises GspnError: it cannot be stored.
         """
         name = self._name(self._whole(path))
-        with self._lock:
+        with self._lock_of(path), self._lock:
+            now = self.drafts.version(name)
             if document is None:
+                others = self.shared.others(name, page)
+                if now and (others or version not in (None, now)):
+                    return now
                 self.drafts.forget(name)
-                return False
+                if now:
+                    self.shared.changed(name, self._files_version(name))
+                return ""
             kept = unfinished(document)
             if not isinstance(etag, str) or len(etag) > 200:
                 raise UsageError("'etag' is missing")
-            self.drafts.keep(name, etag, kept)
-        return True
+            self._check_latest(name, version, page)
+            made = self.drafts.keep(name, etag, kept)
+            self.shared.changed(name, made)
+            return made
+
+    def _check_latest(self, path: str, version: object, page: object) -> None:
+        """Check that a sent state is based on the latest one. :raises OutdatedError: it is not."""
+        if version is None and not self.shared.others(path, page):
+            return
+        now = self.drafts.version(path) or self._files_version(path)
+        if now and version != now:
+            raise OutdatedError(self._latest(path))
+
+    def _files_version(self, path: str) -> str:
+        """The version of a plan without a draft: the hash of its files; "" if there are none."""
+        try:
+            return open_document(self.folder, path).etag
+        except GspnError:
+            return ""
+
+    def latest(self, path: str) -> Dict[str, Any]:
+        """The state that the pages at a plan share: its draft or, without one, its files, with
+        their hash as ``etag``; its ``version``; and whether it is a ``draft``.
+
+        :raises GspnError: it cannot be opened.
+        """
+        with self._lock_of(path):
+            return self._latest(path)
+
+    def _latest(self, path: str) -> Dict[str, Any]:
+        opened = self._open(path)
+        draft = self.drafts.of(opened.path, opened.etag)
+        if draft is None or not draft["version"]:
+            state = {"version": opened.etag, "etag": opened.etag, "document": opened.document}
+            return {**state, "draft": False}
+        return {**{key: draft[key] for key in ("version", "etag", "document")}, "draft": True}
+
+    def come(self, path: str, page: object, fields: Dict[str, Any], stream: bool = False) -> str:
+        """A page is at a plan; return its file. See :meth:`SharedPlans.come`."""
+        with self._lock_of(path):
+            name = self._name(self._whole(path))
+            version = self.drafts.version(name) or self._files_version(name)
+        self.shared.come(name, page, version, fields, stream)
+        return name
+
+    def leave(self, path: str, page: object) -> None:
+        """A page has left a plan."""
+        self.shared.leave(self._name(self._whole(path)), page, entirely=True)
 
     def _whole(self, path: str) -> str:
         """The absolute path of an open file, which may have been deleted since."""

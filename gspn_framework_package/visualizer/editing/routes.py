@@ -9,6 +9,7 @@ from typing import Any, Dict, Mapping, Optional
 import flask
 from flask import Response, request
 
+from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.visualizer.editing.export import exported
 from gspn_framework_package.visualizer.editing.help_routes import RequestBody, add_help_routes
 from gspn_framework_package.visualizer.editing.open_document import Opened
@@ -17,13 +18,19 @@ from gspn_framework_package.visualizer.editing.plan_repository import (
     PlanRepository,
     template_names,
 )
+from gspn_framework_package.visualizer.editing.sharing import EditorStream, OutdatedError
 from gspn_framework_package.visualizer.guard import OPERATOR, Refusal
 from gspn_framework_package.visualizer.project import Project, path_of_key
+from gspn_framework_package.visualizer.streams import Streams
 
 PREFIX = "/api/edit"
 
 DOCUMENT_BYTES = 12_000_000
 """Largest request of the editor, in bytes."""
+
+
+SENT = ("etag", "document", "version", "page")
+"""The fields of a request that stores a document."""
 
 
 def is_editing(path: str) -> bool:
@@ -42,33 +49,36 @@ def refusal(project: Project, role: str) -> Optional[Refusal]:
     return None
 
 
-def add_routes(app: flask.Flask, project: Project, body: RequestBody) -> None:
+def add_routes(app: flask.Flask, project: Project, body: RequestBody, streams: Streams) -> None:
     """Add the routes of the editor to the application.
 
     :param body: returns the JSON object in the body of the request.
+    :param streams: counts the streams to the pages that edit.
     """
     if project.folder is None or not project.edits:
         return
     repository = PlanRepository(project.folder)
 
-    def path() -> str:
-        return path_of_key(request.args.get("id", ""))
+    def outdated(error: GspnError, theirs: Dict[str, Any]) -> Response:
+        return answer({"error": project.without_folders(str(error)), "theirs": theirs}, 412)
 
     def new_plan(made: str) -> Response:
         return answer({"path": made, "id": project.open(made).key})
 
     @app.route(PREFIX)
     def open_for_editing() -> Response:
-        return answer(_told(repository.open(path()), repository))
+        return answer(_told(repository.open(_path()), repository))
 
     @app.route(PREFIX + "/save", methods=["POST"])
     def save() -> Response:
         fields = body()
         try:
-            saved = repository.save(path(), fields.get("etag"), fields.get("document"))
+            saved = repository.save(_path(), *(fields.get(key) for key in SENT))
         except ConflictError as error:
             theirs = {"etag": error.theirs.etag, "document": error.theirs.document}
-            return answer({"error": project.without_folders(str(error)), "theirs": theirs}, 412)
+            return outdated(error, theirs)
+        except OutdatedError as error:
+            return outdated(error, error.theirs)
         if saved.written:
             project.renew([saved.opened.path, *saved.written])
         return answer(
@@ -83,7 +93,7 @@ def add_routes(app: flask.Flask, project: Project, body: RequestBody) -> None:
     @app.route(PREFIX + "/save_as", methods=["POST"])
     def save_as() -> Response:
         fields = body()
-        return new_plan(repository.save_as(path(), fields.get("document"), fields.get("name")))
+        return new_plan(repository.save_as(_path(), fields.get("document"), fields.get("name")))
 
     @app.route(PREFIX + "/new", methods=["POST"])
     def new() -> Response:
@@ -93,20 +103,61 @@ def add_routes(app: flask.Flask, project: Project, body: RequestBody) -> None:
     @app.route(PREFIX + "/draft", methods=["POST"])
     def draft() -> Response:
         fields = body()
-        kept = repository.keep_draft(path(), fields.get("etag"), fields.get("document"))
-        return answer({"kept": kept})
+        try:
+            kept = repository.keep_draft(_path(), *(fields.get(key) for key in SENT))
+        except OutdatedError as error:
+            return outdated(error, error.theirs)
+        return answer({"kept": bool(kept), "version": kept})
 
     @app.route(PREFIX + "/export", methods=["POST"])
     def export() -> Response:
         fields = body()
-        file = exported(repository, path(), fields.get("document"), fields.get("format"))
+        file = exported(repository, _path(), fields.get("document"), fields.get("format"))
         response = Response(file.data, mimetype=file.mimetype)
         response.headers["Content-Disposition"] = "attachment; filename=%s" % file.name
         if file.notes:
             response.headers["X-Gspn-Notes"] = json.dumps(file.notes)
         return response
 
+    _add_shared(app, repository, body, streams)
     add_help_routes(app, project, body, answer)
+
+
+def _add_shared(
+    app: flask.Flask, repository: PlanRepository, body: RequestBody, streams: Streams
+) -> None:
+    """Add the routes by which pages that edit one plan know of each other."""
+
+    @app.route(PREFIX + "/latest")
+    def latest_state() -> Response:
+        return answer(repository.latest(_path()))
+
+    @app.route(PREFIX + "/here", methods=["POST"])
+    def page_is_here() -> Response:
+        fields = body()
+        if fields.get("gone") is True:
+            repository.leave(_path(), fields.get("page"))
+            return answer({"version": "", "editors": []})
+        return answer(repository.shared.told(repository.come(_path(), fields.get("page"), fields)))
+
+    @app.route(PREFIX + "/stream")
+    def stream_of_plan() -> Response:
+        page, peer = request.args.get("page", ""), request.remote_addr or ""
+        if not streams.take(peer):
+            return answer({"error": "too many streams are open already: this page asks"}, 503)
+        try:
+            file = repository.come(_path(), page, {}, stream=True)
+        except BaseException:
+            streams.give_back(peer)
+            raise
+        sent = EditorStream(repository.shared, file, page, streams, peer)
+        response = Response(sent, mimetype="text/event-stream")
+        response.headers["X-Accel-Buffering"] = "no"
+        return response
+
+
+def _path() -> str:
+    return path_of_key(request.args.get("id", ""))
 
 
 def offer(project: Project, role: str) -> Dict[str, Any]:

@@ -45,6 +45,11 @@ def test_nothing_is_edited_unless_the_operator_said_so(folder):
 def test_only_the_operator_edits(folder):
     client = editor(folder, guard=Guard("0.0.0.0", 8090, **TOKENS))
     viewer, operator = ({TOKEN_HEADER: TOKENS[who]} for who in ("viewer_token", "token"))
+    key = "?id=file-patrol/plan.json"
+    for path in ("stream", "latest", "palette"):  # nor drafts, nor who edits
+        assert client.get("/api/edit/%s%s&page=x" % (path, key), **viewer).status_code == 403
+    for path in ("draft", "here", "save", "diff"):
+        assert client.post("/api/edit/%s%s" % (path, key), {}, **viewer).status_code == 403
     answer = client.get("/api/edit?id=file-patrol/plan.json", **viewer)
     assert answer.status_code == 403 and "operator" in answer.get_json()["error"]
     assert client.get("/api/hello", **viewer).get_json()["edits"] is False

@@ -425,7 +425,7 @@ def test_a_file_that_vanished_loses_nothing(folder, editor):
     kept = editor.send(
         "draft", "patrol/plan.json", etag=opened["etag"], document=opened["document"]
     )
-    assert kept.get_json() == {"kept": True}
+    assert kept.get_json()["kept"]
     answer = editor.send("save_as", "patrol/plan.json", document=opened["document"], name="saved")
     assert answer.status_code == 200, answer.get_json()
     assert read_plan(str(folder / "saved")).seed == 4
@@ -536,9 +536,10 @@ def test_drafts_are_kept_until_the_plan_is_saved(folder, editor):
     assert opened["draft"] is None
     opened["document"]["plan"]["seed"] = "not yet"
     fields = {"etag": opened["etag"], "document": opened["document"]}
-    assert editor.send("draft", "patrol", **fields).get_json() == {"kept": True}
+    kept = editor.send("draft", "patrol", **fields).get_json()
     found = Editor(folder).open("patrol/plan.json")["draft"]
     assert found["document"] == opened["document"] and found["etag"] == opened["etag"]
+    assert kept == {"kept": True, "version": found["version"]}
     assert found["saved_at"] > 0 and not found["outdated"]
     paths = [f["path"] for f in editor.get("/api/hello").get_json()["files"]]
     assert not any(path.startswith(".") for path in paths)
@@ -548,7 +549,10 @@ def test_drafts_are_kept_until_the_plan_is_saved(folder, editor):
     assert editor.open("patrol")["draft"] is None
     editor.send("draft", "patrol", **fields)
     assert editor.open("patrol")["draft"]["outdated"]
-    assert editor.send("draft", "patrol", document=None).get_json() == {"kept": False}
+    assert editor.send("draft", "patrol", document=None).get_json() == {
+        "kept": False,
+        "version": "",
+    }
     assert editor.open("patrol")["draft"] is None
 
 
@@ -573,6 +577,72 @@ def test_drafts_are_bounded_and_stay_in_the_folder(folder, editor, tmp_path_fact
     os.symlink(str(outside), str(folder / drafts.DRAFTS))
     assert editor.send("draft", "patrol", **fields).status_code == 409
     assert list(outside.iterdir()) == [] and editor.open("patrol")["draft"] is None
+
+
+# -- several people in one plan ------------------------------------------------------------------
+
+
+def test_a_state_that_is_based_on_an_earlier_one_is_refused_with_the_present_one(folder, editor):
+    opened = editor.open("patrol")
+    name = "patrol/plan.json"
+
+    def state(seed):
+        plan = {**opened["document"]["plan"], "seed": seed}
+        return {**opened["document"], "plan": plan}
+
+    def send(what, page, version, seed):
+        fields = {"etag": opened["etag"], "version": version, "page": page}
+        return editor.send(what, name, document=state(seed), **fields)
+
+    first = send("draft", "ann", opened["etag"], 1).get_json()
+    for what in ("draft", "save"):
+        refused = send(what, "ben", opened["etag"], 2)
+        assert refused.status_code == 412
+        theirs = refused.get_json()["theirs"]
+        assert theirs["document"] == state(1) and theirs["draft"]
+        assert theirs["version"] == first["version"]
+    second = send("draft", "ben", theirs["version"], 3).get_json()
+    assert send("save", "ann", first["version"], 1).status_code == 412
+
+    # who deletes the draft deletes nobody else's work
+    fields = {"etag": opened["etag"], "document": None, "page": "ann"}
+    assert editor.send("draft", name, version=first["version"], **fields).get_json()["kept"]
+    editor.send("here", name, page="ben")
+    assert editor.send("draft", name, **fields).get_json()["kept"]
+    assert editor.send("draft", name, etag=opened["etag"], document=state(9)).status_code == 412
+    assert send("save", "ben", second["version"], 3).status_code == 200
+    latest = editor.get("/api/edit/latest?id=file-" + name).get_json()
+    assert not latest["draft"] and latest["document"]["plan"]["seed"] == 3
+    refused = send("draft", "ann", second["version"], 4)
+    assert refused.get_json()["theirs"]["version"] == latest["version"]
+
+
+def test_pages_at_one_plan_hear_of_each_other(editor):
+    name = "?id=file-patrol/plan.json"
+    stream = editor.get("/api/edit/stream%s&page=ann" % name)
+    messages = stream.iter_encoded()
+
+    def news():
+        found = next(m for m in messages if m.startswith(b"data: {"))
+        return json.loads(found[len(b"data: ") :])
+
+    assert [e["page"] for e in news()["editors"]] == ["ann"]
+    editor.post("/api/edit/here" + name, {"page": "ben", "selection": ["place:Dock"], "at": [1, 2]})
+    ben = {"page": "ben", "number": 2, "selection": ["place:Dock"], "at": [1, 2]}
+    heard = news()
+    assert heard["editors"][1:] == [ben]
+    opened = editor.open("patrol/plan.json")
+    assert heard["version"] == opened["etag"]
+    kept = editor.post(
+        "/api/edit/draft" + name,
+        {"page": "ben", "version": heard["version"], **opened},
+    ).get_json()
+    assert news()["version"] == kept["version"]
+    stream.close()
+    told = editor.post("/api/edit/here" + name, {"page": "ben"}).get_json()
+    assert [e["page"] for e in told["editors"]] == ["ben"]
+    for fields in ({}, {"page": 3}, {"page": "x", "selection": [1]}, {"page": "x", "at": ["1"]}):
+        assert editor.post("/api/edit/here" + name, fields).status_code == 400
 
 
 # -- new plans, and exports ----------------------------------------------------------------------

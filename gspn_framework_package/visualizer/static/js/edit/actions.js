@@ -4,9 +4,9 @@ import { attempt, plural } from "../dom.js";
 import { post } from "../api.js";
 import { GRID, arranged } from "./arrange.js";
 import { copied, fitted, parsed } from "./clipboard.js";
-import { changed } from "./plan_document.js";
 import { renamed, without, problemOfName } from "./rename.js";
 import {
+  changed,
   addParts,
   arcKey,
   changeArcs,

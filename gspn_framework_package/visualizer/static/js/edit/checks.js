@@ -21,7 +21,6 @@ export class Checks {
   constructor(mode) {
     this.mode = mode;
     mode.findings = [];
-    this.page = Math.random().toString(36).slice(2); // checks of other pages run at the same time
     this.revision = 0;
     this.timer = 0;
     this.asked = null; // the state being checked, or checked last; positions do not matter to the check
@@ -113,7 +112,7 @@ export class Checks {
   async ask(state, revision, full) {
     const answer = await post(
       "edit/check",
-      { document: state, revision, full, page: this.page, standalone: this.agents.checked },
+      { document: state, revision, full, page: this.mode.visit, standalone: this.agents.checked },
       { id: this.mode.id },
     );
     if (revision !== this.revision || this.closed) return null;

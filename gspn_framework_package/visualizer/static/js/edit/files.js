@@ -1,12 +1,15 @@
 // The files of the document: saving, conflicts with changes by somebody else, drafts, export.
 
 import { $, h, ask, cancelOr, attempt, labelled, menu, textField, toast } from "../dom.js";
-import { post, send } from "../api.js";
+import { get, post, send } from "../api.js";
 import { deployToARun } from "../deploy.js";
 import { changeList, changesBetween } from "./diff_view.js";
+import { conflictText, merged, same } from "./merge.js";
 import { pngOf, svgOf } from "./picture.js";
 
 const QUIET = 1500; // ms without an edit after which the draft is stored
+const SOON = 300; // the same while somebody else edits the plan, who sees the draft
+const REST = 100; // ms between looks whether a gesture has ended
 const AGAIN = 15_000; // ms before another attempt to store a draft
 const CHANGED = 412; // status: the files have changed on the disk
 
@@ -48,7 +51,11 @@ export class Files {
     mode.files = this;
     this.timer = 0;
     this.saving = null;
-    this.kept = null; // the state stored as the draft
+    this.line = Promise.resolve(); // requests that change or read the latest version run one after the other
+    const { opened } = mode;
+    opened.common ??= opened.document; // the state in the version that the server and this page have in common
+    opened.version ??= opened.etag;
+    opened.savedEtag ??= opened.etag; // the hash of the files that `document.saved` is the content of
     // the draft found on opening, until the user decides about it
     this.draft = mode.document.dirty ? null : mode.opened.draft || null;
     this.saveButton = mode.button("file", {
@@ -115,6 +122,62 @@ export class Files {
     return post(`edit/${what}`, body, { id: this.mode.id });
   }
 
+  /** Run `act` once the requests before it have been answered. */
+  inLine(act) {
+    const done = this.line.then(act);
+    this.line = done.catch(() => {});
+    return done;
+  }
+
+  /** What a request says about the state that it sends. */
+  basis(etag = this.mode.opened.etag) {
+    return { etag, version: this.mode.opened.version, page: this.mode.visit };
+  }
+
+  /** Whether the server has a draft. */
+  get stored() {
+    const { opened } = this.mode;
+    return opened.version !== opened.etag;
+  }
+
+  // -- changes of somebody else ----------------------------------------------------------------------
+
+  /** Resolves once no gesture or name is unfinished. */
+  async rest() {
+    while (!this.closed && (this.mode.pointer.gesture || this.mode.renaming))
+      await new Promise((resolve) => setTimeout(resolve, REST));
+  }
+
+  /** Fetch the latest version and merge it. */
+  follow() {
+    return this.inLine(async () => {
+      const latest = await get("edit/latest", { id: this.mode.id });
+      if (this.closed || latest.version === this.mode.opened.version) return;
+      await this.rest();
+      if (!this.closed) this.take(latest);
+    });
+  }
+
+  /** Merge the server's latest version. Returns what both changed. */
+  take({ version, etag, document: theirs, draft }) {
+    const { opened, document: edited } = this.mode;
+    const [base, mine] = [opened.common, edited.state];
+    const { state, conflicts, taken } = merged(base, mine, theirs);
+    if (this.draft) {
+      this.draft = null;
+      this.hideBanner();
+    }
+    Object.assign(opened, { version, etag, common: theirs });
+    edited.follow(state);
+    if (!draft) {
+      opened.savedEtag = etag;
+      edited.markSaved(same(state, theirs) ? state : theirs);
+    }
+    this.mode.together?.tell({ base, mine, theirs, state, conflicts, taken });
+    this.later();
+    return conflicts;
+  }
+
   // -- saving --------------------------------------------------------------------------------------
 
   /** Deploy the saved plan to a running team. */
@@ -125,15 +188,15 @@ export class Files {
 
   /** Save the document. Resolves to whether it was saved. */
   save() {
+    if (this.readOnly) return this.saveAs();
     if (!this.saving)
-      this.saving = this.saveNow().finally(() => {
+      this.saving = this.inLine(() => this.saveNow()).finally(() => {
         this.saving = null;
       });
     return this.saving;
   }
 
-  async saveNow() {
-    if (this.readOnly) return this.saveAs();
+  saveNow() {
     return this.tryToPut(this.mode.document.state, this.mode.opened.etag);
   }
 
@@ -143,8 +206,14 @@ export class Files {
       await this.put(state, etag);
       return true;
     } catch (error) {
-      if (error.status === CHANGED && error.data.theirs)
-        return this.settle(state, error.data.theirs);
+      const theirs = error.status === CHANGED && error.data.theirs;
+      if (theirs?.draft) {
+        if (!this.take(theirs).length)
+          return this.tryToPut(this.mode.document.state, this.mode.opened.etag);
+        this.mode.say("Not saved: both of you changed the same. Look at it, then save again.");
+        return false;
+      }
+      if (theirs) return this.settle(state, theirs);
       toast(`Not saved: ${error.message}`);
       this.mode.say(`Not saved: ${error.message}`);
       return false;
@@ -154,8 +223,14 @@ export class Files {
   /** Write a state to the files if they still match `etag`. */
   async put(state, etag) {
     const { mode } = this;
-    const saved = await this.request("save", { etag, document: state });
-    Object.assign(mode.opened, { etag: saved.etag, draft: null });
+    const saved = await this.request("save", { ...this.basis(etag), document: state });
+    Object.assign(mode.opened, {
+      etag: saved.etag,
+      savedEtag: saved.etag,
+      version: saved.etag,
+      common: state,
+      draft: null,
+    });
     this.draft = null;
     this.hideBanner();
     mode.document.markSaved(state);
@@ -163,10 +238,20 @@ export class Files {
     toast("Saved", true);
   }
 
-  /** The files have changed on the disk: ask which version to keep. Resolves to whether the user's version was saved.
-   */
-  async settle(state, theirs) {
+  /** The files have changed on the disk: merge both and save that; if both changed the same, ask first. Resolves to
+   * whether the user's version was saved. */
+  async settle(own, theirs) {
     const { mode } = this;
+    const { opened, document: edited } = mode;
+    const known = opened.savedEtag === opened.etag;
+    const both = known ? merged(edited.saved, own, theirs.document) : { state: own, conflicts: [] };
+    const { state } = both;
+    if (known && !both.conflicts.length) {
+      this.useFiles(theirs);
+      edited.follow(merged(own, edited.state, state).state);
+      edited.markSaved(theirs.document);
+      return this.tryToPut(edited.state, theirs.etag);
+    }
     const list = h("div", h("p.muted", "Comparing …"));
     changesBetween(mode, theirs.document, state).then(
       (changes) => list.replaceChildren(changeList(changes)),
@@ -181,6 +266,13 @@ export class Files {
           "p",
           "The files have changed since you opened or saved them. Changes from their version to yours:",
         ),
+        both.conflicts.length > 0 && [
+          h("p", "Both of you changed:"),
+          h(
+            "ul",
+            both.conflicts.map((conflict) => h("li", conflictText(conflict))),
+          ),
+        ],
         list,
       ),
       [
@@ -190,18 +282,25 @@ export class Files {
       ],
     );
     if (answer === "mine") return this.tryToPut(state, theirs.etag);
-    if (answer === "theirs") this.take(theirs);
+    if (answer === "theirs") this.replace(theirs);
     else mode.diff.show({ title: "From theirs to yours", from: theirs.document });
     return false;
   }
 
   /** Use the state of the files; undo restores the user's version. */
-  take({ etag, document: theirs }) {
+  replace(theirs) {
     const { mode } = this;
-    mode.opened.etag = etag;
-    mode.document.edit("Use the changed files", () => theirs);
+    this.useFiles(theirs);
+    mode.document.edit("Use the changed files", () => theirs.document);
     mode.document.markSaved();
     mode.say("These are the changed files. Undo restores your version.");
+  }
+
+  /** The files have another content, of which the page knows. */
+  useFiles({ etag, document: content }) {
+    const { opened } = this.mode;
+    if (!this.stored) Object.assign(opened, { version: etag, common: content });
+    Object.assign(opened, { etag, savedEtag: etag });
   }
 
   /** Save the document as a new plan and continue with that one. Resolves to whether it was saved. */
@@ -228,7 +327,7 @@ export class Files {
     if (!found) return false;
     mode.document.markSaved(state);
     toast(`Saved as ${found.path}`, true);
-    await attempt(() => this.request("draft", { etag: mode.opened.etag, document: null }));
+    await attempt(() => this.dropDraft());
     mode.page.edit(found.id);
     return true;
   }
@@ -239,8 +338,9 @@ export class Files {
     this.refresh();
     clearTimeout(this.timer);
     const { document: edited } = this.mode;
-    if (!edited.dirty) {
-      if (this.kept) this.dropDraft();
+    const alone = !this.mode.together?.others.length;
+    if (!edited.dirty && alone) {
+      if (this.stored && !this.draft) this.dropDraft();
       return;
     }
     if (this.draft) {
@@ -248,33 +348,60 @@ export class Files {
       return;
     }
     this.note.textContent = "";
-    this.timer = setTimeout(() => this.keepDraft(), QUIET);
+    this.timer = setTimeout(() => this.keepDraft(), alone ? QUIET : SOON);
   }
 
-  async keepDraft() {
+  keepDraft() {
     clearTimeout(this.timer);
+    return this.inLine(() => this.keepNow(this.mode.document.state));
+  }
+
+  async keepNow(state) {
     const { mode } = this;
-    const { state } = mode.document;
-    if (!mode.document.dirty || state === this.kept || this.draft) return;
+    const { opened } = mode;
+    if (state === opened.common || this.draft) return;
+    if (same(state, opened.common)) {
+      opened.common = state;
+      return;
+    }
     try {
-      await this.request("draft", { etag: mode.opened.etag, document: state });
-      this.kept = state;
+      const { version } = await this.request("draft", { ...this.basis(), document: state });
+      Object.assign(opened, { version, common: state });
       if (state === mode.document.state && mode.document.dirty)
         this.note.textContent = `Draft stored at ${new Date().toLocaleTimeString()}`;
     } catch (error) {
+      if (error.status === CHANGED && error.data.theirs) {
+        await this.rest();
+        if (this.closed) await this.keepMerged(state, error.data.theirs);
+        else this.take(error.data.theirs);
+        return;
+      }
       this.note.textContent = `The draft could not be stored: ${error.message}`;
       if (!this.closed) this.timer = setTimeout(() => this.keepDraft(), AGAIN);
     }
   }
 
+  /** The page has left the document, and the server has a later version: send both, merged. */
+  keepMerged(state, { version, etag, document: theirs }) {
+    const { opened } = this.mode;
+    const both = merged(opened.common, state, theirs).state;
+    Object.assign(opened, { version, etag, common: theirs });
+    return this.keepNow(both);
+  }
+
   /** Delete the draft: its changes were saved or undone. */
-  async dropDraft() {
-    this.kept = null;
-    try {
-      await this.request("draft", { etag: this.mode.opened.etag, document: null });
-    } catch {
-      // if this fails, the draft is offered when the plan is opened again and can be discarded then
-    }
+  dropDraft() {
+    return this.inLine(async () => {
+      const { opened, document: edited } = this.mode;
+      const version = this.draft?.version ?? opened.version;
+      try {
+        const sent = { ...this.basis(), version, document: null };
+        const { kept } = await this.request("draft", sent);
+        if (!kept) Object.assign(opened, { version: opened.etag, common: edited.saved });
+      } catch {
+        // if this fails, the draft is offered when the plan is opened again and can be discarded then
+      }
+    });
   }
 
   offerDraft() {
@@ -291,6 +418,7 @@ export class Files {
         this.hideBanner();
         mode.diff.hide();
         mode.document.edit("Continue the draft", () => draft.document);
+        Object.assign(mode.opened, { version: draft.version, common: draft.document });
         if (older) mode.opened.etag = draft.etag; // saving it will ask about changes made since
         this.refresh();
       }),
@@ -298,11 +426,12 @@ export class Files {
         mode.diff.show({ title: "From the files to the draft", from: "saved", to: draft.document }),
       ),
       decide("Discard it", "ed-draft-discard", async () => {
-        await attempt(() => this.dropDraft());
+        await this.dropDraft();
         this.draft = null;
         this.hideBanner();
         mode.diff.hide();
         this.later();
+        await attempt(() => this.follow()); // somebody else may work on it: then it stays
       }),
     );
   }
@@ -342,6 +471,7 @@ export class Files {
   close() {
     this.closed = true;
     clearTimeout(this.timer);
-    if (!this.draft && !this.saving) this.keepDraft(); // edits made just before
+    const { state, dirty } = this.mode.document; // edits made just before
+    if (!this.draft && !this.saving && dirty) this.inLine(() => this.keepNow(state));
   }
 }

@@ -2,7 +2,7 @@
 // by hand removes the source.
 
 import { h, number, plural } from "../dom.js";
-import { changed } from "./plan_document.js";
+import { changed } from "./net_edits.js";
 import { problemOf, resolved } from "./schema.js";
 import { numbersField, objectForm, schemaField, wordOf } from "./schema_form.js";
 

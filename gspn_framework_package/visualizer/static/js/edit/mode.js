@@ -21,6 +21,7 @@ import { Witness } from "./witness.js";
 import { PlanPanel } from "./plan_panel.js";
 import { PolicyPanel } from "./policy_panel.js";
 import { PropertyPanel } from "./property_panel.js";
+import { Together } from "./together.js";
 
 /** The parts of the editor. They are constructed in this order with the mode; a part may have `close()`. */
 const PARTS = [
@@ -31,6 +32,7 @@ const PARTS = [
   WhatHappens,
   DiffView,
   Files,
+  Together,
   Beginning,
 ];
 
@@ -46,6 +48,7 @@ export class EditMode extends EventTarget {
     this.page = page;
     this.id = id;
     this.opened = opened;
+    this.visit = Math.random().toString(36).slice(2); // tells this page from others that edit the same file
     this.document = kept || new PlanDocument(opened.document);
     this.selection = new Set();
     this.panels = new Map(); // name -> {tab, panel}

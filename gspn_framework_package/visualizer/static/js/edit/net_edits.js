@@ -1,10 +1,16 @@
 // Edits of a net, as functions from a state {plan, net, policy} to its changed parts. They do not depend on the page.
 
-import { changed } from "./plan_document.js";
 import { arcKey } from "./rename.js";
 
 export const nodeKey = (kind, name) => `${kind}:${name}`;
 export { arcKey };
+
+/** A copy of an object with some keys replaced; a key whose new value is undefined is removed. */
+export function changed(object, values) {
+  const result = { ...object, ...values };
+  for (const [key, value] of Object.entries(values)) if (value === undefined) delete result[key];
+  return result;
+}
 
 const LISTS = { place: "places", transition: "transitions" };
 

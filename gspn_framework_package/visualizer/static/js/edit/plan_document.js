@@ -1,15 +1,10 @@
 // The plan being edited, and the history of its edits. The state is one immutable value {plan, net, policy}; an edit
 // replaces it by another that shares all unchanged parts. Undo and redo go back and forth between the states, so every
-// edit is undone exactly.
+// edit is undone exactly. Somebody else's changes are no edits: they stay when an own edit is undone.
+
+import { merged } from "./merge.js";
 
 const KEPT = 5000; // edits that can be undone
-
-/** A copy of an object with some keys replaced; a key whose new value is undefined is removed. */
-export function changed(object, values) {
-  const result = { ...object, ...values };
-  for (const [key, value] of Object.entries(values)) if (value === undefined) delete result[key];
-  return result;
-}
 
 const withoutPosition = (node) => Object.keys(node).filter((key) => key !== "position");
 
@@ -88,7 +83,7 @@ export class PlanDocument extends EventTarget {
     const edit = this.done.pop();
     if (!edit) return null;
     this.undone.push(edit);
-    this.put(edit.before, edit);
+    this.put(this.moved(edit.after, edit.before), edit);
     return edit;
   }
 
@@ -96,8 +91,20 @@ export class PlanDocument extends EventTarget {
     const edit = this.undone.pop();
     if (!edit) return null;
     this.done.push(edit);
-    this.put(edit.after, edit);
+    this.put(this.moved(edit.before, edit.after), edit);
     return edit;
+  }
+
+  /** The present state with the change from one state to another, which is that other one if nobody else has made
+   * changes meanwhile. What somebody else changed too stays as it is. */
+  moved(from, to) {
+    const { state } = this;
+    return state === from ? to : merged(from, state, to, { rename: false }).state;
+  }
+
+  /** Use a state in which somebody else's changes are merged. */
+  follow(state) {
+    if (state !== this.state) this.put(state, null);
   }
 
   /** Record that the files contain `state` (the one that was sent). */

@@ -6,7 +6,7 @@ import { get } from "../api.js";
 import { FormPanel, Lens, MIXED } from "./form.js";
 import { NAMES } from "./names.js";
 import { arcKey, nodeKey, otherKind } from "./net_edits.js";
-import { changed } from "./plan_document.js";
+import { changed } from "./net_edits.js";
 import { HINTS } from "./plan_hints.js";
 import { problemOfName, renamed } from "./rename.js";
 import { addRobot, robotRow, robotsLens, robotsOf } from "./robots_form.js";

@@ -1,7 +1,7 @@
 // The JSON Schema of plan files, from the server. The forms are made from it, and input is checked against it before it
 // enters the plan.
 
-import { changed } from "./plan_document.js";
+import { changed } from "./net_edits.js";
 
 const TOLERANCE = 1e-6; // of a sum of probabilities; as in model/policy.py
 
