@@ -22,7 +22,8 @@ CONSTANTS
   Evictions,   \* a member finds another one silent
   Assertions,  \* an operator asserts that a robot is off
   Moves,       \* local transitions
-  Pauses       \* orders that no local transition may pass
+  Pauses,      \* orders that no local transition may pass
+  GiveBacks    \* orders that take a task from a robot, which then goes elsewhere
 
 Robot == 1..Robots
 Process == (Robot \X {0}) \union (Spares \X {1})
@@ -73,7 +74,8 @@ Ledger0 == [
   logs     |-> [r \in Robot |-> NONE],  \* the log with which it was let in
   cast_out |-> [r \in Robot |-> -1],    \* the slot of its last eviction by force
   seen     |-> [r \in Robot |-> <<-1, 0, NONE>>],
-  paused   |-> FALSE]
+  paused   |-> FALSE,
+  sent_away |-> [r \in Robot |-> -1]]   \* the slot that last took a task from it
 
 length(l) == Len(l.log)
 
@@ -94,6 +96,7 @@ entered(l, i) ==
          [m EXCEPT !.members = @ \ {i.robot},
                    !.cast_out[i.robot] = IF i.forced THEN length(l) ELSE @]
     [] i.entry = "Pause" -> [m EXCEPT !.paused = TRUE]
+    [] i.entry = "GiveBack" -> [m EXCEPT !.sent_away[i.robot] = length(l)]
     [] OTHER -> m
 
 RECURSIVE after_items(_, _), news(_, _)
@@ -301,7 +304,7 @@ note_torn(p, s, torn_robots) ==
 Item(p, s, entry, robot, life, forced, k) ==
   [entry |-> entry, robot |-> robot, life |-> life, forced |-> forced,
    by |-> name(p), incarnation |-> s.incarnation, number |-> s.number + k, log |-> s.log_id,
-   told_at |-> IF Assertions > 0 THEN length(s.ledger) ELSE 0,
+   told_at |-> IF Assertions + GiveBacks > 0 THEN length(s.ledger) ELSE 0,
    before |-> IF Partial THEN s.moves ELSE <<>>]  \* its local transitions, which come first
 
 announce(p, s, i, synced) ==
@@ -345,7 +348,7 @@ propose(p) ==
   /\ up(p) /\ length(s.ledger) < MaxLength /\ wants(p, s)
   /\ may_vote(p, s) \/ t # NoneTorn
   /\ NextBallots(p, s) # {}
-  /\ \E frozen \in IF Partial /\ Pauses > 0 THEN BOOLEAN ELSE {FALSE} :
+  /\ \E frozen \in IF Partial /\ Pauses + GiveBacks > 0 THEN BOOLEAN ELSE {FALSE} :
      LET c == s.promised[1] + 1
          ballot == <<c, name(p), s.log_id>>
          a == [phase |-> 1, ballot |-> ballot, frozen |-> frozen, torn |-> t]
@@ -388,6 +391,9 @@ are_replaced(s, unasked, strangers, batch) ==
   unasked \subseteq {i.robot : i \in {j \in Range(news(s.ledger, batch)) :
                                         ends_life(s, j, unasked, strangers)}}
 
+\* The orders that local transitions must not pass: state.is_control.
+is_control(i) == i.entry \in {"Pause", "GiveBack"}
+
 RECURSIVE moves_of(_, _)  \* of these robots, in their order
 moves_of(robots, items) ==
   IF robots = {} THEN <<>>
@@ -406,7 +412,7 @@ partial_batches(p, s, answers, answered, strangers) ==
       \* what a lost memory announced under the same incarnation would hide the return
       kept(i) == SelectSeq(moves \o i.before, LAMBDA x :
                    ~(back(i) /\ x.by = i.by /\ x.incarnation = i.incarnation /\ x.log # i.log))
-      entries == {i \in available(s) : i.entry # "Pause" \/ s.attempt.frozen}
+      entries == {i \in available(s) : ~is_control(i) \/ s.attempt.frozen}
   IN {b \in {kept(i) \o <<i>> : i \in entries} \union {moves} :
         b # <<>> /\ (unasked = {} \/ are_replaced(s, unasked, strangers, b))}
 
@@ -711,6 +717,13 @@ order_pause(p) ==
   /\ announce(p, s, Item(p, s, "Pause", name(p), 0, FALSE, 1), FALSE)
   /\ UNCHANGED chosen
 
+\* A task is taken from robot r: given back, cancelled, or replaced by another one.
+give_back(p, r) ==
+  LET s == state[p] IN
+  /\ up(p) /\ is_settled(p, s) /\ r \in members(s) /\ Fault("GiveBacks")
+  /\ announce(p, s, Item(p, s, "GiveBack", r, 0, FALSE, 1), FALSE)
+  /\ UNCHANGED chosen
+
 (* ---- all behaviours --------------------------------------------------------------- *)
 
 FirstItem(r) ==
@@ -734,14 +747,16 @@ Init ==
   /\ log_ids = [r \in Robot |-> 1]
   /\ took_part = IF Begun /\ (Losses > 0 \/ Spares # {}) THEN Robot \X {1} ELSE {}
   /\ acted = IF Begun THEN {<<r, 0, 1, 0>> : r \in Robot} ELSE {}
-  /\ faults = [f \in {"Restarts", "Losses", "Outages", "Evictions", "Assertions", "Moves", "Pauses"}
+  /\ faults = [f \in {"Restarts", "Losses", "Outages", "Evictions", "Assertions", "Moves", "Pauses",
+                     "GiveBacks"}
                 |-> CASE f = "Restarts" -> Restarts
                       [] f = "Losses" -> Losses
                       [] f = "Outages" -> Outages
                       [] f = "Evictions" -> Evictions
                       [] f = "Assertions" -> Assertions
                       [] f = "Moves" -> Moves
-                      [] f = "Pauses" -> Pauses]
+                      [] f = "Pauses" -> Pauses
+                      [] f = "GiveBacks" -> GiveBacks]
 
 Next == \E p \in Process :
   \/ propose(p) \/ lead_on(p) \/ first_phase_over(p) \/ decide_if_chosen(p)
@@ -760,6 +775,7 @@ Next == \E p \in Process :
   \/ \E q \in Process : forget_given_up(p, q)
   \/ \E q \in Process : conflict(p, q)
   \/ move_alone(p) \/ order_pause(p)
+  \/ \E r \in Robot : give_back(p, r)
 
 Spec == Init /\ [][Next]_vars
 
@@ -816,6 +832,18 @@ NoMovePassesAPause ==
            LET i == s.moves[k] IN
            ~(is_news(l, i) /\ i.incarnation = l.lives[name(p)] /\ name(p) \in l.members
               /\ known_log(state[q], name(p)) = i.log)
+
+\* What a robot did alone, before it knew that its task was taken from it, is in the log before.
+NoMoveIsTakenBack ==
+  \A p, q \in Process :
+    LET l == state[q].ledger
+        s == state[p]
+        at == l.sent_away[name(p)]
+    IN at >= 0 /\ up(p) /\ s.active =>
+         \A k \in DOMAIN s.moves :
+           LET i == s.moves[k] IN
+           ~(i.told_at <= at /\ is_news(l, i) /\ i.incarnation = l.lives[name(p)]
+              /\ name(p) \in l.members /\ known_log(state[q], name(p)) = i.log)
 
 \* Local transitions get into the log in the order in which they were made, and none between is lost.
 MovesInOrder ==

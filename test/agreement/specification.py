@@ -272,6 +272,15 @@ MUTANTS: Sequence[Mutant] = (
         "",
         "NoMovePassesAPause",
     ),
+    # found in the code by the search, and mended: docs/faults.md
+    Mutant(
+        "robots may move while a task is taken from one",
+        'i.entry \\in {"Pause", "GiveBack"}',
+        'i.entry = "Pause"',
+        "small_two_partial_give_back",
+        "",
+        "NoMoveIsTakenBack",
+    ),
     # docs/agreement.md, "Why it is safe", the end of 4
     Mutant(
         "a limit: one lost log and a second process, in a team of two",

@@ -1,5 +1,5 @@
 """The specification of the agreement, ``spec/agreement.tla``: TLC checks small teams, finds the faults
-that are put into it, and its names are those of the code. The first two take about 90 s of processor
+that are put into it, and its names are those of the code. The first two take about 70 s of processor
 time, and need TLC (``scripts/check_spec --install``)."""
 
 from __future__ import annotations
