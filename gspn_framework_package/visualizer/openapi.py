@@ -433,7 +433,14 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
             "decided?": FLAG,
             "states?": _WHOLE,
             "findings?": _list(
-                {"level": TEXT, "text": TEXT, "hint": TEXT, "check": TEXT, "elements": OBJECTS}
+                {
+                    "level": TEXT,
+                    "text": TEXT,
+                    "hint": TEXT,
+                    "check": TEXT,
+                    "elements": OBJECTS,
+                    "mend?": _or_null(OBJECT),
+                }
             ),
             "cancelled?": FLAG,
         },

@@ -217,6 +217,23 @@ def test_a_net_alone_is_opened_and_saved_as_a_plan(serve_folder, open_page, tmp_
             assert read_net(str(path)).place("Water").tokens == 3, format
 
 
+def test_a_finding_is_mended_and_the_mend_undone(open_editor, axe):
+    page = open_editor()
+    state_of_check(page, "checked")
+    edit(page, "More tokens", [[["net", "places", 0, "tokens"], 3]])
+    edit(page, "No action", [[["plan", "actions", "A"], None]])
+    state_of_check(page, "invalid")
+    page.click("#ed-tab-checks")
+    axe(page, "findings with mends")
+    page.click("#ed-findings button:has-text('Mend it: a token for each robot')")
+    page.click("#ed-findings button:has-text('Mend it: no action there')")
+    state_of_check(page, "checked")
+    page.click("#ed-undo")
+    page.click("#ed-undo")
+    state_of_check(page, "invalid")
+    assert page.evaluate("() => window.gspn.edit.document.net.places[0].tokens") == 3
+
+
 def test_a_file_that_somebody_else_changes_is_merged_or_asked_about(open_editor, axe, folder):
     page = open_editor(expect_errors=True)  # a conflict is an answer with an error status
     file = folder / "plan.json"

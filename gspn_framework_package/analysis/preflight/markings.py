@@ -15,6 +15,7 @@ from gspn_framework_package.analysis.plan.structure import (
     may_lose_robots,
     robot_flows,
 )
+from gspn_framework_package.analysis.preflight.mending import missing_row
 from gspn_framework_package.analysis.preflight.report import (
     LISTED,
     Checklist,
@@ -505,6 +506,7 @@ class MarkingChecks:
         self, check: str, severity: Severity, found: Sequence[Finding], what: str, **details: Any
     ) -> None:
         for finding in found[:LISTED]:
+            mend = missing_row(self.plan, finding) if check == "policy" else {}
             where = " for a robot in %s" % finding.place if finding.place else ""
             self._list.add(
                 check,
@@ -513,6 +515,7 @@ class MarkingChecks:
                 % (what, where, marking_text(finding.marking), sequence(finding.sequence)),
                 **finding.to_json(),
                 **details,
+                **mend,
             )
         if len(found) > LISTED:
             self._list.add(

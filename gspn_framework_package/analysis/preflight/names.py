@@ -69,12 +69,15 @@ class NameChecks:
             | {p for r in robots for p in r.actions if p in plan.resource_places}
         )
         if unmapped:
+            from gspn_framework_package.analysis.preflight.mending import null_actions
+
             self._list.add(
                 "actions",
                 Severity.REFUSED,
                 "no action is mapped to %s; map null where robots have nothing to "
                 "do, or list it as a resource place" % name_list(unmapped),
                 places=unmapped,
+                **null_actions(unmapped),
             )
         if mapped_resources:
             self._list.add(
@@ -122,6 +125,8 @@ class NameChecks:
             if self.net.place(p).tokens != n
         }
         if differing:
+            from gspn_framework_package.analysis.preflight.mending import tokens_of_robots
+
             text = "; ".join(
                 "%s has %d token(s) and %d robot(s)" % (p, d["tokens"], d["robots"])
                 for p, d in itertools.islice(differing.items(), LISTED)
@@ -131,6 +136,7 @@ class NameChecks:
                 Severity.REFUSED,
                 "the initial marking and the robots' initial places differ: " + text,
                 places=differing,
+                **tokens_of_robots({p: d["robots"] for p, d in differing.items()}),
             )
         else:
             self._list.add(

@@ -182,10 +182,13 @@ class ReactingChecks:
             )
         ]
         if alone and plan.timing.evict_after > 0 and not self._standalone:
+            from gspn_framework_package.analysis.preflight.mending import tasks_given_back
+
             self._warn(
                 "a robot that is lost in %s keeps its task, which nobody else does; let on_evict "
                 "give a token back to the queue there" % name_list(alone),
                 places=alone,
+                **tasks_given_back(plan, alone),
             )
         if len(self._list.items) == before:
             self._list.add(

@@ -119,6 +119,7 @@ def _finding(
     check: str = "",
     witness: Optional[List[str]] = None,
     markings: Optional[List[Dict[str, int]]] = None,
+    mend: Optional[Dict[str, Any]] = None,
 ) -> Dict[str, Any]:
     return {
         "level": level,
@@ -128,6 +129,7 @@ def _finding(
         "elements": elements,
         "witness": witness,
         "markings": markings,
+        "mend": mend,
     }
 
 
@@ -407,6 +409,7 @@ def _of_report(
             check=item.check,
             witness=witness,
             markings=markings,
+            mend=item.details.get("mend"),
         )
 
 

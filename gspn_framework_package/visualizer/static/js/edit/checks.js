@@ -3,6 +3,7 @@
 
 import { h, plural } from "../dom.js";
 import { post } from "../api.js";
+import { mended } from "./mend.js";
 import { onlyMoved } from "./plan_document.js";
 
 const QUIET = 1000; // ms without an edit after which the state is checked: findings appear when the hand rests
@@ -182,7 +183,7 @@ export class Checks {
       : list;
   }
 
-  item({ level, text, hint, elements, witness, markings }) {
+  item({ level, text, hint, elements, witness, markings, mend }) {
     const keys = keysOf(elements);
     const rows = elements.filter(({ kind }) => kind === "row");
     const said = [h("strong", `${LEVELS[level]}: `), text];
@@ -199,7 +200,19 @@ export class Checks {
             onclick: () => this.mode.play(witness, markings),
           })
         : "",
+      mend
+        ? h("button", {
+            text: `Mend it: ${mend.label}`,
+            onclick: () => this.mend(mend),
+          })
+        : "",
     );
+  }
+
+  /** Change what a finding says is wrong, as one edit. */
+  mend(mend) {
+    this.mode.document.edit(`Mend it: ${mend.label}`, (state) => mended(state, mend));
+    this.mode.say(`Done: ${mend.label}. Undo takes it back.`);
   }
 
   /** Select the elements that a finding is about, and move the view there. */

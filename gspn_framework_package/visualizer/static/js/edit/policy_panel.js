@@ -116,7 +116,7 @@ export class PolicyPanel extends PlanForm {
     ];
   }
 
-  /** Findings of the check about the policy as a whole, such as markings that no row covers. */
+  /** Findings of the check about the policy as a whole, such as markings that no row covers, or that there are none. */
   gaps() {
     const found = this.mode.findings.filter(
       ({ text, elements }) =>
@@ -129,7 +129,11 @@ export class PolicyPanel extends PlanForm {
         { "aria-label": "Results of the check of the policy" },
         found
           .slice(0, 10)
-          .map(({ text, hint }) => h("li.mark", `⚠ ${text}${hint ? ` (${hint})` : ""}`)),
+          .map(({ level, text, hint }) =>
+            level === "note"
+              ? h("li.muted", `✓ ${text}`)
+              : h("li.mark", `⚠ ${text}${hint ? ` (${hint})` : ""}`),
+          ),
       )
     );
   }

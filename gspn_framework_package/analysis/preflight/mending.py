@@ -1,0 +1,75 @@
+"""What mends a finding of the check, where there is one obvious way."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Dict, Iterable, List, Mapping, Optional
+
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.subnet import SEPARATOR
+
+if TYPE_CHECKING:
+    from gspn_framework_package.analysis.plan.markings import Finding
+
+Mend = Dict[str, Any]
+"""``{"label": what it does, "set": [[path, value], ...]}``. A path is a list of keys from the plan
+file on, through its net and its policy wherever these are; in a list of nodes, a key is a name, and
+``"-"`` is the end of a list."""
+
+
+def mended(label: str, changes: Iterable[List[Any]]) -> Dict[str, Mend]:
+    """The detail ``mend`` of a finding; nothing if there is no change, or if it is in a subnet."""
+    listed = list(changes)
+    inside = any(SEPARATOR in step for path, _ in listed for step in path if isinstance(step, str))
+    return {"mend": {"label": label, "set": listed}} if listed and not inside else {}
+
+
+def null_actions(places: Iterable[str]) -> Dict[str, Mend]:
+    """Robots have nothing to do in these places."""
+    return mended("no action there", ([["actions", place], None] for place in places))
+
+
+def tokens_of_robots(robots: Mapping[str, int]) -> Dict[str, Mend]:
+    """Each place begins with as many tokens as robots."""
+    return mended(
+        "a token for each robot",
+        ([["net", "places", place, "tokens"], number] for place, number in robots.items()),
+    )
+
+
+def tasks_given_back(plan: Plan, places: Iterable[str]) -> Dict[str, Mend]:
+    """A robot that is lost in one of these places gives its task back to the only queue."""
+    if len(plan.tasks.queues) != 1:
+        return {}
+    (queue,) = plan.tasks.queues
+    return mended(
+        "give the task back to %s" % queue,
+        ([["on_evict", place, queue], 1] for place in places),
+    )
+
+
+def missing_row(plan: Plan, finding: Finding) -> Dict[str, Mend]:
+    """A row for the marking of a finding, which chooses by the weights of what can fire there, all
+    alike if there are no weights."""
+    place = finding.place
+    if place is None or plan.policy.scopes or SEPARATOR in place:
+        return {}
+    net = plan.net
+    marking = [finding.marking.get(p.name, 0) for p in net.places]
+    weights = {
+        net.transitions[t].name: net.transitions[t].number
+        for t in net.immediate_from[net.place_number(place)]
+        if net.is_enabled(marking, t)
+    }
+    shares = _shares(weights)
+    if shares is None:
+        return {}
+    cells = [finding.marking.get(name, 0) for name in plan.policy.places]
+    row = {"marking": cells, "choose": shares}
+    return mended("add a row for this marking", [[["policy", "rows", "-"], row]])
+
+
+def _shares(weights: Mapping[str, float]) -> Optional[Dict[str, float]]:
+    """Probabilities in proportion to weights, or alike if all are 0; None if nothing has one."""
+    total = sum(weights.values())
+    found = {t: round(w / total if total else 1 / len(weights), 12) for t, w in weights.items()}
+    return {t: 1 if share == 1 else share for t, share in found.items() if share} or None
