@@ -113,7 +113,6 @@ def robot_fields(
     """
     phase = reported_phase(state, robot)
     gone = robot.phase.gone
-    waits = state.ended is None and not gone and not phase.report.acts
     return {
         "run": run,
         "plan": plan,
@@ -125,7 +124,7 @@ def robot_fields(
         "visit": robot.visit,
         "attempt": robot.attempt,
         "task": robot.task.id if robot.task is not None else "",
-        "waits_for": game.why_waiting(state, robot) if waits else "",
+        "waits_for": game.why_waiting(state, robot) if state.ended is None else "",
         "needs_operator": phase.report.needs_operator and state.ended is None,
         "feedback": [],
     }

@@ -1,5 +1,5 @@
-"""Deliberate faults in the protocol, the token game, the host, the verifier and what messages pass,
-to confirm that they are caught.
+"""Deliberate faults in the protocol, the token game, the ledger, the host, the verifier, what messages
+pass and what watchers read, to confirm that they are caught.
 
 A simulation and a checker that find no fault prove nothing unless they find planted ones. Each
 mutant breaks one rule on purpose; :func:`hunt` runs schedules until one fails.
@@ -18,6 +18,7 @@ from agreement.mutants import (
     outage,
     protocol,
     reactions,
+    records,
     survivors,
     token_game,
 )
@@ -40,5 +41,6 @@ MUTANTS: List[Mutant] = [
     *survivors.MUTANTS,
     *mended.MUTANTS,
     *checks.MUTANTS,
+    *records.MUTANTS,
 ]
 """All of them, by the part of the program that they are in."""
