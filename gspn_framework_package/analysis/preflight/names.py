@@ -5,15 +5,19 @@ from __future__ import annotations
 
 import itertools
 from importlib.util import find_spec
-from typing import Any, Callable, Dict, List, Optional
+from typing import Any, Callable, Dict, List, Optional, Sequence, Set
 
 from gspn_framework_package.analysis.plan.structure import idle_places
 from gspn_framework_package.analysis.preflight.report import LISTED, Checklist, Severity, name_list
-from gspn_framework_package.model.action import Action
+from gspn_framework_package.model.action import Action, ServerAction
 from gspn_framework_package.model.condition import parse_condition
+from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Transition
 from gspn_framework_package.model.plan import Plan, Transport
 from gspn_framework_package.model.plan_timing import NO_REQUEST, unnamed
+
+SHARED_EFFORT = 100_000
+"""Maximum number of steps of a search for invariants that keep robots from sharing a server."""
 
 ServerProbe = Callable[[str, str, Action], Optional[str]]
 """Called with (robot, place, action) to check whether the action's server answers; returns None if
@@ -45,6 +49,40 @@ class NameChecks:
         self._look_at_decision_places()
         self._look_at_times()
         self._look_at_transport()
+        self._look_at_shared_servers()
+
+    def _look_at_shared_servers(self) -> None:
+        """Report action servers that robots may use at the same time: their names are absolute."""
+        used: Dict[str, Dict[str, Set[str]]] = {}  # server -> place -> robots
+        for robot in self.plan.robots:
+            for place in self.plan.action_places:
+                action = self.plan.action(robot.name, place)
+                if isinstance(action, ServerAction) and action.server.startswith("/"):
+                    used.setdefault(action.server, {}).setdefault(place, set()).add(robot.name)
+        for server, places in used.items():
+            robots = sorted(set().union(*places.values()))
+            if len(robots) > 1 and not self._holds_one_token(list(places)):
+                self._list.add(
+                    "shared_servers",
+                    Severity.WARNING,
+                    "%s may use the server %s at the same time (%s): most servers do one goal at a "
+                    "time, and the goal of one robot ends that of another; without the / in front, "
+                    "each robot has its own" % (name_list(robots), server, name_list(places)),
+                    server=server,
+                    robots=robots,
+                    places=list(places),
+                )
+
+    def _holds_one_token(self, places: Sequence[str]) -> bool:
+        """Whether an invariant shows that these places never have two tokens together."""
+        from gspn_framework_package.analysis.structure.invariants import place_invariants
+
+        try:
+            found = place_invariants(self.net, SHARED_EFFORT)
+        except LimitError:
+            return False
+        alone = [i.weights for i in found if i.value is not None and i.value < 2]
+        return any(all(weights.get(place) for place in places) for weights in alone)
 
     def _look_at_transport(self) -> None:
         """Report a library that the robots need but this machine does not have."""

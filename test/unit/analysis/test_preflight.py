@@ -14,7 +14,7 @@ from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.analysis.preflight.report import Severity
 from gspn_framework_package.analysis.simulation import simulate
 from gspn_framework_package.formats.plan_file import read_plan
-from gspn_framework_package.model.action import FunctionAction
+from gspn_framework_package.model.action import FunctionAction, ServerAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import (
@@ -436,6 +436,27 @@ def test_servers_of_transitions_and_places_that_decide():
     assert (item.details["transitions"], item.severity) == (["go"], Severity.WARNING)
     assert check(make_plan(choice())).of("decision_actions")[0].details["places"] == ["d"]
     assert not check(make_plan(choice(), idle=["d"])).of("decision_actions")
+
+
+def test_a_server_that_several_robots_may_use_at_once():
+    drive = ServerAction("move_base_msgs/MoveBaseAction", "/move_base")
+    both = make_plan(loop())
+    shared = replace(both, actions={"a": drive, "b": DO})
+    (item,) = check(shared).of("shared_servers")
+    assert item.severity is Severity.WARNING and item.details["places"] == ["a"]
+    assert item.text.startswith("robot_1, robot_2 may use the server /move_base at the same time")
+    own = replace(both, actions={"a": drive._replace(server="move_base"), "b": DO})
+    assert not check(own).of("shared_servers")
+    guarded = (
+        NetBuilder("guarded")
+        .place("a", tokens=2)
+        .place("b")
+        .place("free", tokens=1)
+        .exponential("go", inputs=["a", "free"], outputs="b", servers=None)
+        .exponential("back", inputs="b", outputs=["a", "free"], servers=None)
+    )
+    one_at_a_time = replace(make_plan(guarded, resources=["free"]), actions={"a": DO, "b": drive})
+    assert not check(one_at_a_time).of("shared_servers")
 
 
 def test_what_a_prediction_takes_for_a_cycle_without_time():
