@@ -100,8 +100,8 @@ def has_records(value: Any) -> bool:
 
 
 def _is_row(value: Any) -> bool:
-    """Whether a value is a list of numbers, such as the marking of a row of a policy, in which short
-    texts such as "-", any number, may stand too."""
+    """Whether a value is a list of numbers, such as the marking of a row of a policy, in which
+    short texts such as "-", any number, may stand too."""
     return isinstance(value, (list, tuple)) and all(
         isinstance(item, (int, float)) or isinstance(item, str) and len(item) <= 4 for item in value
     )
