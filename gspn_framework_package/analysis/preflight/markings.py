@@ -25,7 +25,7 @@ from gspn_framework_package.analysis.preflight.report import (
     sequence,
 )
 from gspn_framework_package.analysis.preflight.structure import StructureChecks
-from gspn_framework_package.analysis.proofs.questions import DEAD, NO_ROW, MarkingQuestion
+from gspn_framework_package.analysis.proofs.questions import CAN_MOVE, DEAD, NO_ROW, MarkingQuestion
 from gspn_framework_package.analysis.state_space.coverability import CoverabilityTree
 from gspn_framework_package.analysis.state_space.rated_graph import enabled_in, rate_or_weight
 from gspn_framework_package.analysis.watch import Cancel, Progress
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 BY_PROOF = "state equation"
 """How questions were decided without visiting markings: also its invariants follow from it."""
 
-_PROOFS = {"dead_markings": DEAD, "policy": NO_ROW}
+_PROOFS = {"dead_markings": DEAD, "policy": NO_ROW, "waiting": CAN_MOVE}
 """The questions that proofs can decide."""
 
 DEAD_MARKING = "dead marking: nothing can happen"
@@ -103,6 +103,8 @@ class MarkingChecks:
         left = list(self._structure.open)
         if not markings.complete and (self._seconds > 0 or self._asked):
             left = self._not_decided_otherwise(left, markings)
+            if not self._waits_decided(markings):
+                left.append("waiting")
         if not markings.complete and left:
             self._list.add(
                 "exploration",
@@ -119,6 +121,7 @@ class MarkingChecks:
             "dead_markings": self._decide_dead,
             "policy": self._decide_policy,
             "rates": self._decide_rates,
+            "waiting": self._waiting_undecided,
         }
         for question in left:
             answers[question](markings)
@@ -176,6 +179,36 @@ class MarkingChecks:
                     )
         return [question for question in left if question not in decided]
 
+    def _waits_decided(self, markings: PlanMarkings) -> bool:
+        """Report by proofs and searches whether robots can wait for ever; return whether this is
+        decided. Where nothing at all can happen, all wait, which is reported by itself."""
+        if self._is_answered("dead_markings", markings) or any(
+            item.check == "dead_markings" and "marking" in item.details for item in self._list.items
+        ):
+            return True
+        answer = self._answers("waiting")[0]
+        if answer.sequence is not None:
+            self._report_findings(
+                "waiting",
+                Severity.WARNING,
+                [Finding(answer.marking or {}, list(answer.sequence))],
+                "a robot can wait forever, since nothing can ever take it from its place",
+                waits=True,
+            )
+        elif answer.certificate is not None:
+            self._list.add(
+                "waiting",
+                Severity.OK,
+                "every robot that is not at an end can always move again%s"
+                % self._as_long_as(answer),
+                decided_by=BY_PROOF,
+                losses=answer.question.losses,
+            )
+        return answer.sequence is not None or answer.certificate is not None
+
+    def _waiting_undecided(self, markings: PlanMarkings) -> None:
+        self._undecided(markings, "waiting", "whether a robot can wait forever")
+
     def _answers(self, question: str) -> List[Answer]:
         """The answers to a question that proofs can decide, also with the losses of robots."""
         if question in self._asked:
@@ -187,7 +220,7 @@ class MarkingChecks:
         answers = decide_for_team(
             self.plan,
             MarkingQuestion(_PROOFS[question]),
-            losses=self._losses,
+            losses=self._losses and question != "waiting",
             seconds=max(self._seconds, 0.1),
             limit=0,
             progress=self.progress,

@@ -16,7 +16,19 @@ This module needs neither NumPy nor a solver. It reads untrusted files: whatever
 from __future__ import annotations
 
 import math
-from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Sequence, Set, Tuple, Union
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Iterable,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+    Union,
+)
 
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.net import Marking, Net
@@ -65,6 +77,9 @@ class Problem(NamedTuple):
     :ivar is_bad: whether a marking is.
     :ivar fires: the transitions that may fire in a marking: fewer than the net enables, where
         priorities or a policy decide.
+    :ivar surely: says of some markings that every marking that follows, if what goes on by itself
+        ends, is bad; None if nothing quick says so.
+    :ivar settling: the transitions that end what goes on by itself.
     """
 
     net: Net
@@ -72,6 +87,8 @@ class Problem(NamedTuple):
     facts: Tuple[Formula, ...]
     is_bad: Callable[[Marking], bool]
     fires: Callable[[Marking], Iterable[int]]
+    surely: Optional[Callable[[Marking], bool]] = None
+    settling: Tuple[int, ...] = ()
 
 
 class CountBox:

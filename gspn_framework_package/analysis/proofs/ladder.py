@@ -1,6 +1,9 @@
 """Decides a question about all reachable markings of a net or a plan: the steps of a ladder, within
 one budget of time.
 
+Of a net with many places, short random walks come first, and longer ones after the state equation:
+teams get stuck in them as in a run.
+
 1. *Structure*: invariants and bounds of places, by which the facts of the question exclude each
    other.
 2. *State equation*: linear programs, and marked traps, exclude what is left, case by case.
@@ -15,6 +18,7 @@ What is *violated* has firings that were played. Everything else is *not decided
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple, Union
 
@@ -37,7 +41,7 @@ from gspn_framework_package.analysis.proofs.questions import (
     MarkingQuestion,
     problem_of,
 )
-from gspn_framework_package.analysis.proofs.witness import realise
+from gspn_framework_package.analysis.proofs.witness import realise, walk_until_stuck
 from gspn_framework_package.analysis.state_space.space import StateSpace, explore
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.errors import LimitError
@@ -52,6 +56,15 @@ QUESTION_MARKINGS = 200_000
 
 FEW_MARKINGS = 2_000
 """Number of markings that are visited before the guided search."""
+
+FEW_PLACES = 150
+"""Number of places up to which exploration finds what random walks would."""
+
+FIRST_FIRINGS = 400
+"""Number of firings of random walks before the state equation."""
+
+PROVING = 0.6
+"""The part of the time that is left then for the state equation."""
 
 PROVEN, VIOLATED, NOT_DECIDED = "proven", "violated", "not decided"
 
@@ -175,11 +188,17 @@ class _Ladder:
         """Take the steps until one decides."""
         if self._problem.is_bad(self._problem.net.initial_marking):
             return self._violated("exploration", ())
+        large = len(self._problem.net.places) > FEW_PLACES
+        answer = self._wander(1.0, FIRST_FIRINGS) if large else None
+        if answer is not None:
+            return answer
         found = self._prove()
         if isinstance(found, Answer):
             return found
         few = min(self._limit, FEW_MARKINGS)
         answer = self._explore(few) if few else None
+        if answer is None and large:
+            answer = self._wander(0.5)
         if answer is None and found is not None:
             answer = self._search(found)
         if answer is None and few < self._limit:
@@ -204,7 +223,9 @@ class _Ladder:
         if not self._problem.facts:
             self._step("structure", "the condition is not linear")
             return None
-        prover = Prover(self._problem, self._watch())
+        left = max(self._end - time.monotonic(), 0.0)
+        watch = Watch(self._progress, self._cancel, seconds=PROVING * left)
+        prover = Prover(self._problem, watch)
         try:
             found = prover.prove()
         except LimitError as error:
@@ -223,6 +244,15 @@ class _Ladder:
             "%s, %d cases, %d linear programs" % (how, prover.cases, prover.programs),
         )
         return Answer(self._question, PROVEN, tuple(self._steps), certificate=found)
+
+    def _wander(self, part: float, firings: float = math.inf) -> Optional[Answer]:
+        """Look for a bad marking by random walks, for a part of the time that is left."""
+        left = max(self._end - time.monotonic(), 0.0)
+        watch = Watch(self._progress, self._cancel, seconds=part * left)
+        sequence = walk_until_stuck(self._problem, watch, firings)
+        if sequence is not None:
+            return self._violated("random walks", sequence)
+        return None
 
     def _violated(self, name: str, sequence: Sequence[str]) -> Answer:
         marking = played_to(self._problem, sequence)

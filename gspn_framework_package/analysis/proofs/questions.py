@@ -13,7 +13,7 @@ as inequalities; ``Problem.is_bad`` is always exact.
 from __future__ import annotations
 
 from fnmatch import fnmatchcase
-from functools import partial
+from functools import cached_property, partial
 from typing import (
     Callable,
     Collection,
@@ -43,7 +43,12 @@ from gspn_framework_package.analysis.proofs.checker import (
     opposite,
 )
 from gspn_framework_package.analysis.proofs.conditions import condition_of, facts_of, formula_of
-from gspn_framework_package.analysis.proofs.returning import nearing, never_returns, settling
+from gspn_framework_package.analysis.proofs.returning import (
+    FiringsLeft,
+    nearing,
+    never_returns,
+    settling,
+)
 from gspn_framework_package.model.condition import Condition
 from gspn_framework_package.model.errors import LimitError, UsageError
 from gspn_framework_package.model.net import Marking, Net
@@ -134,7 +139,8 @@ def _of_net(net: Net, question: MarkingQuestion) -> Problem:
     if question.kind == RETURNS:
         condition = condition_of(question.about, net)
         facts = _never_back(condition, net)
-        is_bad = never_returns(net, facts, condition.holds, net.enabled)
+        goal = opposite(facts[0]) if facts else None
+        is_bad = never_returns(net, facts, condition.holds, net.enabled, goal)
         return Problem(net, everything, facts, is_bad, net.enabled)
     if question.kind == FIRES:
         t = net.transition_number(question.about)
@@ -229,6 +235,12 @@ class _OfPlan:
         self._until: Optional[Condition] = None
         if plan.until:
             self._until = condition_of(plan.until, self._net)
+        ends = terminal_places(plan)
+        self._exits = {
+            p: frozenset(t for t in self._net.consumers[p] if t < self._own)
+            for p in sorted(self._robots)
+            if self._original[p] not in ends
+        }
         self._rows = _RowsOfPlaces(self._table, self._net, self._original)
 
     def problem(self) -> Problem:
@@ -246,13 +258,21 @@ class _OfPlan:
             facts, is_bad = self._some_never_move()
         elif kind in (RETURNS, CAN_END):
             facts, holds = self._never_back()
-            is_bad = never_returns(net, facts, holds, self.fires)
+            goal = opposite(facts[0]) if facts else None
+            is_bad = never_returns(net, facts, holds, self.fires, goal)
         else:
             how = {DEAD: self._dead, FIRES: self._fires, NO_ROW: self._gap}[kind]
             facts = (*self._not_over(), *(fact for fact in how() if not _is_true(fact)))
             is_bad = self._exactly(facts)
-        transitions = tuple(t for t in range(len(net.transitions)) if self._ever_fires(t))
+        transitions = self._firing()
+        if kind == CAN_MOVE and self._until is None:
+            steps = tuple(settling(net, self._by_themselves()))
+            return Problem(net, transitions, facts, is_bad, self.fires, self._stuck, steps)
         return Problem(net, transitions, facts, is_bad, self.fires)
+
+    def _firing(self) -> Tuple[int, ...]:
+        """The transitions that may ever fire."""
+        return tuple(t for t in range(len(self._net.transitions)) if self._ever_fires(t))
 
     def _exactly(self, facts: Sequence[Formula]) -> Callable[[Marking], bool]:
         """Whether all facts hold in a marking of a run that is not over."""
@@ -356,32 +376,74 @@ class _OfPlan:
     def _some_never_move(self) -> Tuple[Tuple[Formula, ...], Callable[[Marking], bool]]:
         """A robot cannot leave its place now, and whether it cannot from then on."""
         over = self._not_over()
-        ends = terminal_places(self._plan)
+        is_over: Optional[Formula] = FALSE
+        if self._until is not None:
+            try:
+                is_over = formula_of(self._until)
+            except LimitError:
+                is_over = None
         ended: List[Formula] = []
         if self._until is None:  # what is going on can end first, unless the run ends before
             steps = settling(self._net, self._by_themselves())
             ended += [_disabled(self._net, t) for t in steps]
         stuck: List[Formula] = []
-        tests: List[Callable[[Marking], bool]] = []
-        for p in sorted(self._robots):
-            if self._original[p] in ends:
-                continue
-            exits = frozenset(t for t in self._net.consumers[p] if t < self._own)
+        tests: Dict[int, Callable[[Marking], bool]] = {}
+        for p, exits in self._exits.items():
             facts: List[Formula] = [Atom(((p, 1),), 1)]
             facts += [_disabled(self._net, t) for t in sorted(exits) if not self._asking(t)]
             facts += self._policy_moves_nobody(p, exits)
             facts[1:] = [_without(fact, opposite(facts[0])) for fact in facts[1:]]
             stuck.append(All(tuple(facts)))
-            leaves = partial(self._some_fire, exits)
-            tests.append(never_returns(self._net, (*over, *ended, *facts), leaves, self.fires))
+            goal = None
+            if is_over is not None:
+                goal = Some((is_over, *(opposite(fact) for fact in facts[1:])))
+            tests[p] = never_returns(
+                self._net,
+                facts,
+                partial(self._some_fire, exits),
+                self.fires,
+                goal,
+                partial(self._stuck_in, p) if self._until is None else None,
+            )
 
         def is_bad(marking: Marking) -> bool:
-            return any(test(marking) for test in tests) and not self._is_over(marking)
+            return all(fulfils(fact, marking) for fact in (*over, *ended)) and any(
+                marking[p] and test(marking) for p, test in tests.items()
+            )
 
         return (*over, *ended, Some(tuple(stuck))), is_bad
 
+    def _stuck(self, marking: Marking) -> bool:
+        """Whether some robot can surely never leave its place."""
+        left = self._firings_left.of(marking)
+        return any(marking[p] and left.isdisjoint(exits) for p, exits in self._exits.items())
+
+    def _stuck_in(self, p: int, marking: Marking) -> bool:
+        """Whether robots in place number ``p`` can surely never leave it."""
+        return self._firings_left.of(marking).isdisjoint(self._exits[p])
+
+    @cached_property
+    def _firings_left(self) -> FiringsLeft:
+        return FiringsLeft(self._net, self._firing(), self._ways)
+
+    def _ways(self, t: int) -> Optional[List[Tuple[int, int]]]:
+        """When the policy may choose a transition: the places that have to be empty, and those that
+        have to be marked; None if it may always fire."""
+        asking = self._asking(t)
+        if not asking or self._named(t):
+            return None
+        if self._weights_decide(t) and not all(_is_true(self._rows.any_matches(p)) for p in asking):
+            return None
+        return [
+            self._rows.bits(number)
+            for p in asking
+            for number, chosen in self._rows.of(p)
+            if t in chosen
+        ]
+
     def _some_fire(self, transitions: Collection[int], marking: Marking) -> bool:
-        return any(t in transitions for t in self.fires(marking))
+        """Some of the transitions can fire, or the run is over."""
+        return self._is_over(marking) or any(t in transitions for t in self.fires(marking))
 
     def _nothing_fires(self, transitions: Collection[int]) -> Iterator[Formula]:
         """None of the transitions can fire, also not by the policy's choice."""
@@ -515,6 +577,16 @@ class _RowsOfPlaces:
                 p = self._net.place_number(name)
                 yield Atom(((p, -1),), -count)
                 yield from [Atom(((p, 1),), count)] * (count > 0)
+
+    def bits(self, number: int) -> Tuple[int, int]:
+        """The places that a row wants empty, and those that it wants marked, as bits of their
+        numbers."""
+        empty = marked = 0
+        for name, count in zip(self._policy.places, self._policy.rows[number].counts):
+            if count is not None:
+                bit = 1 << self._net.place_number(name)
+                empty, marked = empty | bit * (count == 0), marked | bit * (count > 0)
+        return empty, marked
 
     def match(self, number: int) -> Formula:
         """A row matches."""

@@ -7,20 +7,38 @@ never come to the goal, then so can one in which the goal does not hold and none
 transitions can fire. That no such marking is reachable is a question like others, which a proof may
 answer at any size; whether one of them can come to the goal, a search from there tells. The weights
 used here are distances to the places in which the goal wants tokens, and between markings of the
-same distance, weights by which the actions that are going on end one after another.
+same distance, weights by which the actions that are going on end one after another. Where too many
+markings follow, the state equation may prove from there that the goal is never reached.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from typing import Callable, Deque, Dict, Iterable, Iterator, List, Optional, Sequence, Set
+from typing import Callable, Deque, Dict, Iterable, Iterator, List, Optional, Sequence, Set, Tuple
 
-from gspn_framework_package.analysis.proofs.checker import Atom, Formula, fulfils
+from gspn_framework_package.analysis.proofs.checker import (
+    Atom,
+    Formula,
+    Problem,
+    ProofError,
+    check_certificate,
+    fulfils,
+)
+from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Marking, Net
 
 MOST_FOLLOWED = 20_000
 """Most markings that are visited from one of which it is asked whether it can come to the goal."""
+
+FEW_FOLLOWED = 1_000
+"""Number of markings that are visited before a proof is tried."""
+
+MOST_PROOFS = 5
+"""Most markings of a question from which a proof is tried."""
+
+PROOF_SECONDS = 1.0
+"""Time for each of them (s)."""
 
 
 def nearing(
@@ -95,23 +113,108 @@ def settling(net: Net, transitions: Iterable[int]) -> List[int]:
     return [t for t in effects if sum(weight.get(p, 0) * n for p, n in effects[t]) < 0]
 
 
+class FiringsLeft:
+    """Which transitions may still fire from a marking on, by what lasts.
+
+    Assume that all empty places stay empty and all marked ones keep a token, and give up what some
+    transition would change that may fire under what is still assumed, until none does. What is left
+    lasts: the firing that ended it first would be one of these transitions.
+
+    :param transitions: those that may fire.
+    :param ways: for a transition that a policy chooses, when it may: sets of places (bits of their
+        numbers), of which the first have to be empty and the second marked; None for others.
+    """
+
+    def __init__(
+        self,
+        net: Net,
+        transitions: Iterable[int],
+        ways: Callable[[int], Optional[Sequence[Tuple[int, int]]]],
+    ) -> None:
+        self._inputs = {t: [p for p, _ in net.inputs[t]] for t in transitions}
+        self._outputs = {t: [p for p, _ in net.outputs[t]] for t in self._inputs}
+        self._less = {t: sum(1 << p for p, n in net.effect(t) if n < 0) for t in self._inputs}
+        self._ways = {t: ways(t) for t in self._inputs}
+        self._taking: List[List[int]] = [[] for _ in net.places]
+        for t, inputs in self._inputs.items():
+            for p in inputs:
+                self._taking[p].append(t)
+
+    def of(self, marking: Marking) -> Set[int]:
+        """The transitions that may fire in the marking or later; no others do."""
+        empty = sum(1 << p for p, count in enumerate(marking) if not count)
+        marked = ~empty
+        lacks = {t: sum(not marking[p] for p in self._inputs[t]) for t in self._inputs}
+        waiting = [t for t, count in lacks.items() if not count]
+        found: Set[int] = set()
+        changed = True
+        while changed:
+            changed = False
+            refused = []
+            while waiting:
+                t = waiting.pop()
+                ways = self._ways[t]
+                if ways is not None and all(e & marked or m & empty for e, m in ways):
+                    refused.append(t)
+                    continue
+                changed = True
+                found.add(t)
+                marked &= ~self._less[t]
+                for p in self._outputs[t]:
+                    if empty >> p & 1:
+                        empty &= ~(1 << p)
+                        for other in self._taking[p]:
+                            lacks[other] -= 1
+                            if not lacks[other]:
+                                waiting.append(other)
+            waiting = refused
+        return found
+
+
 def never_returns(
     net: Net,
     facts: Sequence[Formula],
     holds: Callable[[Marking], bool],
     fires: Callable[[Marking], Iterable[int]],
+    goal: Optional[Formula] = None,
+    surely: Optional[Callable[[Marking], bool]] = None,
 ) -> Callable[[Marking], bool]:
     """Whether a marking fulfils the facts, and the goal ``holds`` in none that it can come to.
 
     The function raises LimitError if that takes too many markings.
+
+    :param goal: what holds in every marking of the goal, for a proof that there is none.
+    :param surely: says of some markings, quickly, that none of the goal follows.
     """
     returning: Set[Marking] = set()
+    proofs = [MOST_PROOFS]
+
+    def is_proven(marking: Marking, goal: Formula) -> bool:
+        """Whether a proof says that no marking that follows is one of the goal."""
+        # who checks a proof needs no solver
+        from gspn_framework_package.analysis.proofs.prover import Candidate, Prover
+
+        proofs[0] -= 1
+        problem = Problem(
+            net.with_marking(marking), tuple(range(len(net.transitions))), (goal,), holds, fires
+        )
+        try:
+            found = Prover(problem, Watch(seconds=PROOF_SECONDS)).prove()
+            if not isinstance(found, Candidate):
+                check_certificate(problem, found)
+                return True
+        except (LimitError, ProofError):
+            pass
+        return False
 
     def is_bad(marking: Marking) -> bool:
         if marking in returning or not all(fulfils(fact, marking) for fact in facts):
             return False
+        if surely is not None and surely(marking):
+            return True
         came: Dict[Marking, Optional[Marking]] = {marking: None}
         waiting: Deque[Marking] = deque([marking])
+        tries = True
         while waiting:
             now = waiting.popleft()
             if now in returning or holds(now):
@@ -125,6 +228,10 @@ def never_returns(
                 if after not in came:
                     came[after] = now
                     waiting.append(after)
+            if len(came) > FEW_FOLLOWED and tries and proofs[0] > 0 and goal is not None:
+                tries = False
+                if is_proven(marking, goal):
+                    return True
             if len(came) > MOST_FOLLOWED:
                 raise LimitError("not decided: too many markings follow one of those in question")
         return True

@@ -4,8 +4,9 @@ how often each transition fires on the way, but not in which order."""
 from __future__ import annotations
 
 import heapq
+import math
 import random
-from typing import Dict, List, Optional, Tuple
+from typing import Callable, Dict, List, Optional, Tuple
 
 from gspn_framework_package.analysis.proofs.checker import Problem
 from gspn_framework_package.analysis.proofs.prover import Candidate
@@ -24,6 +25,9 @@ MOST_WALKS, LONGEST_WALK = 1_000, 3_000
 
 _DETOUR = 2
 """How much a firing that is not in the solution costs, in firings that are."""
+
+_LOOK_EVERY = 20
+"""Firings of a walk between two looks whether somebody is stuck."""
 
 _ON_THE_WAY = 0.7
 """The probability that a walk takes a firing of the solution, where it can."""
@@ -93,7 +97,99 @@ class _Search:
         return way[::-1]
 
 
-def _walk(problem: Problem, firings: Dict[int, int], watch: Watch) -> Optional[List[int]]:
+def walk_until_stuck(
+    problem: Problem, watch: Watch, firings: float = math.inf
+) -> Optional[List[str]]:
+    """The names of transitions whose firings lead to a bad marking, found by random walks; None if
+    none were found in the time.
+
+    Where the problem says so of a marking, all that follow are bad, once what goes on has ended:
+    then the first such marking of the walk is taken, and what goes on there is ended.
+
+    :param firings: the most firings of all walks together.
+    """
+    found: Optional[List[int]]
+    if problem.surely is None:
+        try:
+            found = _walk(problem, {}, watch, firings)
+        except LimitError:
+            return None
+    else:
+        found = _walk_to_a_trap(problem, problem.surely, watch, firings)
+    return None if found is None else [problem.net.transitions[t].name for t in found]
+
+
+def _walk_to_a_trap(
+    problem: Problem, surely: Callable[[Marking], bool], watch: Watch, firings: float
+) -> Optional[List[int]]:
+    draw, net = random.Random(1), problem.net
+    for walks in range(MOST_WALKS):
+        markings, way = [net.initial_marking], []
+        for length in range(1, LONGEST_WALK):
+            firings -= 1
+            try:
+                watch.step("random walks", walks)
+            except LimitError:
+                return None
+            if firings < 0:
+                return None
+            able = list(problem.fires(markings[-1]))
+            if able:
+                way.append(draw.choice(able))
+                markings.append(net.fire(markings[-1], way[-1]))
+            if able and length % _LOOK_EVERY:
+                continue
+            if not able and problem.is_bad(markings[-1]):
+                return _without_loops(markings, way)
+            if surely(markings[-1]):
+                first, last = 0, len(way)
+                while first < last:  # once it is so, it stays so
+                    middle = (first + last) // 2
+                    if surely(markings[middle]):
+                        last = middle
+                    else:
+                        first = middle + 1
+                way = [
+                    *_without_loops(markings[: first + 1], way),
+                    *_settle(problem, markings[first]),
+                ]
+                marking = net.initial_marking
+                for t in way:
+                    marking = net.fire(marking, t)
+                return way if problem.is_bad(marking) else None
+            if not able:
+                break
+    return None
+
+
+def _without_loops(markings: List[Marking], way: List[int]) -> List[int]:
+    """The firings of a walk, without those between two visits of the same marking.
+
+    :param markings: those that the walk visits.
+    """
+    last = {marking: number for number, marking in enumerate(markings)}
+    short, number = [], last[markings[0]]
+    while number < len(markings) - 1:
+        short.append(way[number])
+        number = last[markings[number + 1]]
+    return short
+
+
+def _settle(problem: Problem, marking: Marking) -> List[int]:
+    """Firings that end what goes on by itself."""
+    way: List[int] = []
+    ending = set(problem.settling)
+    able = [t for t in problem.fires(marking) if t in ending]
+    while able:
+        way.append(able[0])
+        marking = problem.net.fire(marking, able[0])
+        able = [t for t in problem.fires(marking) if t in ending]
+    return way
+
+
+def _walk(
+    problem: Problem, firings: Dict[int, int], watch: Watch, most: float = math.inf
+) -> Optional[List[int]]:
     """Random walks until one reaches a bad marking; detours back to the same marking are cut
     out. None if there is no time left."""
     draw = random.Random(1)
@@ -104,6 +200,9 @@ def _walk(problem: Problem, firings: Dict[int, int], watch: Watch) -> Optional[L
         for _ in range(LONGEST_WALK):
             if problem.is_bad(marking):
                 return way
+            most -= 1
+            if most < 0:
+                return None
             try:
                 watch.step("random walks", walks)
             except LimitError:

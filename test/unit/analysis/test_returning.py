@@ -12,12 +12,12 @@ import pytest
 from asked_markings import SHAPES
 from generated_nets import bounded_nets, reference_space
 from generated_plans import small_plans
-from hypothesis import given, settings
+from hypothesis import HealthCheck, assume, given, settings
 
 from gspn_framework_package.analysis.graph import can_reach
 from gspn_framework_package.analysis.plan.markings import PlanMarkings
 from gspn_framework_package.analysis.plan.structure import terminal_places
-from gspn_framework_package.analysis.proofs import returning, witness
+from gspn_framework_package.analysis.proofs import ladder, returning, witness
 from gspn_framework_package.analysis.proofs.checker import check_certificate, played_to
 from gspn_framework_package.analysis.proofs.ladder import (
     NOT_DECIDED,
@@ -118,15 +118,16 @@ def robots_of(markings):
 
 
 def can_leave(plan, markings, p, sources, targets):
-    """Whether a robot in a place can leave it, whatever happened before."""
+    """Whether a robot in a place can leave it or the run can end, whatever happened before."""
     space = markings.space
     own = len(plan.net.transitions)
     exits = [t for t in markings.net.consumers[p] if t < own]
     good = np.zeros(len(space), dtype=bool)
     good[sources[np.isin(space.transitions[markings.possible], exits)]] = True
-    over = space.holds(plan.until) if plan.until else np.zeros(len(space), dtype=bool)
+    if plan.until:
+        good |= space.holds(plan.until)
     back = can_reach(len(space), sources, targets, good)
-    return bool((back | over | (space.column(p) == 0) | ~markings.reached).all())
+    return bool((back | (space.column(p) == 0) | ~markings.reached).all())
 
 
 @pytest.mark.parametrize("limit", [1, 2_000])
@@ -237,6 +238,76 @@ def test_robots_that_wait_for_tasks_do_not_wait_for_ever(tmp_path):
             question = question._replace(losses=losses)
             answer = decide_question(plan, question, limit=0)
             assert answer.verdict == PROVEN and answer.decided_by == "structure"
+
+
+def narrow(robots, folder):
+    """Robots that charge at one end of a lane of nodes for one each, where they work at the other;
+    one node is beside it."""
+    graph = {
+        "nodes": {"hall": [0, 0], "mid": [5, 0], "far": [15, 0], "near": [0, 5]},
+        "edges": [["hall", "mid"], ["mid", "far"], ["hall", "near"]],
+    }
+    tasks = {
+        "start": ["hall"],
+        "tasks": {
+            "Look": {"at": ["far"], "seconds": 5, "again_after": 20},
+            "See": {"at": ["near"], "seconds": 5, "again_after": 20},
+        },
+        "battery": {"full": 0.2, "low": 0.2},
+        "docks": {"hall": robots},
+        "nodes": {"mid": {"capacity": 1}, "far": {"capacity": 1}},
+    }
+    for name, data in (("map.yaml", graph), ("tasks.yaml", tasks)):
+        (folder / name).write_text(json.dumps(data))
+    made = build_site_plan(str(folder / "map.yaml"), str(folder / "tasks.yaml"), robots)
+    made.write(str(folder / "plan"))
+    return read_plan(str(folder / "plan"))
+
+
+def test_robots_that_block_each_other_while_others_go_on_are_found_by_walking(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(ladder, "FEW_PLACES", 0)
+    for robots, verdict in ((1, PROVEN), (12, VIOLATED)):
+        (tmp_path / str(robots)).mkdir()
+        plan = narrow(robots, tmp_path / str(robots))
+        question = MarkingQuestion(CAN_MOVE)
+        answer = decide_question(plan, question)
+        assert answer.verdict == verdict
+    assert answer.decided_by == "random walks"
+    assert {"At_mid_full", "At_far_low"} <= set(answer.marking)
+    played_to(problem_of(plan, question), answer.sequence)
+
+
+@settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
+@given(small_plans())
+def test_who_is_surely_stuck_is(plan):
+    problem = problem_of(plan, MarkingQuestion(CAN_MOVE))
+    graph = {problem.net.initial_marking: []}
+    waiting = list(graph)
+    while waiting:
+        marking = waiting.pop()
+        for t in problem.fires(marking):
+            graph[marking].append((t, problem.net.fire(marking, t)))
+            if graph[marking][-1][1] not in graph:
+                graph[graph[marking][-1][1]] = []
+                waiting.append(graph[marking][-1][1])
+        assume(len(graph) < 500)
+    assume(problem.surely is not None)
+    ends = {plan.net.places[p].name for p in terminal_places(plan)}
+    outside = ends | set(plan.resource_places)
+    robots = [p for p, place in enumerate(problem.net.places) if place.name not in outside]
+    for marking in graph:
+        if problem.surely(marking):
+            after, waiting = {marking}, [marking]
+            left = set()
+            while waiting:
+                for t, other in graph[waiting.pop()]:
+                    left |= {p for p, _ in problem.net.inputs[t]}
+                    if other not in after:
+                        after.add(other)
+                        waiting.append(other)
+            assert any(marking[p] and p not in left for p in robots)
 
 
 def ending(robots, stuck):
