@@ -388,7 +388,7 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         "Store an unsaved document as a draft; null deletes the draft. 412, with theirs, if "
         "somebody else has changed it since the version.",
         ("id",),
-        {"etag": TEXT, **SHARED, "document": _or_null(OBJECT)},
+        {"etag": TEXT, **SHARED, "document": _or_null(OBJECT), "history?": _or_null(OBJECT)},
         {"kept": FLAG, "version": TEXT},
     ),
     ("GET", "/api/edit/latest"): ApiOperation(

@@ -283,6 +283,9 @@ def test_a_draft_is_kept_and_offered(open_editor, axe, folder):
     page = open_editor()
     before = (folder / "plan.json").read_text()
     edit(page, "Rename", [[["plan", "plan"], "drafted"]])
+    edit(page, "Add", [[["net", "places", "+"], {"name": "New", "position": [0, 99]}]])
+    edit(page, "More fuel", [[["net", "places", 2, "tokens"], 9]])
+    page.click("#ed-undo")
     page.wait_for_selector("#ed-draft-state:has-text('Draft stored')")
     page.context.close()
     assert (folder / "plan.json").read_text() == before
@@ -293,6 +296,18 @@ def test_a_draft_is_kept_and_offered(open_editor, axe, folder):
     page.wait_for_selector("#ed-changes:has-text('plan: round → drafted')")
     page.click("#ed-draft-continue")
     assert page.evaluate("() => window.gspn.edit.document.plan.plan") == "drafted"
+    # with its history, which nobody but the draft has
+    places = "() => window.gspn.edit.document.net.places.map((p) => [p.name, p.tokens ?? 0])"
+    drawn = [["A", 1], ["B", 0], ["Fuel", 5]]
+    assert page.evaluate(places) == [*drawn, ["New", 0]]
+    page.click("#ed-redo")
+    assert page.evaluate(places) == [*drawn[:2], ["Fuel", 9], ["New", 0]]
+    for _ in range(2):
+        page.click("#ed-undo")
+    assert page.evaluate(places) == drawn
+    page.click("#ed-undo")
+    assert page.evaluate("() => window.gspn.edit.document.plan.plan") == "round"
+    page.click("#ed-redo")
     page.click("#ed-save")
     page.wait_for_selector("#ed-status:has-text('Saved.')")
     assert json.loads((folder / "plan.json").read_text())["plan"] == "drafted"

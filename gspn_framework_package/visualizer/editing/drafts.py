@@ -33,11 +33,14 @@ class Drafts:
         self._folder = folder
         self._place = os.path.join(folder.root, DRAFTS)
 
-    def keep(self, path: str, etag: str, document: JsonObject) -> str:
+    def keep(
+        self, path: str, etag: str, document: JsonObject, history: Optional[JsonObject] = None
+    ) -> str:
         """Store a draft, replacing an earlier one; return its version.
 
         :param path: the file that is edited.
         :param etag: the hash of its files when it was opened.
+        :param history: the edits that led to it, for the page.
         :raises GspnError: it cannot be stored.
         """
         draft = {
@@ -46,6 +49,7 @@ class Drafts:
             "saved_at": time.time(),
             "version": secrets.token_hex(8),
             "document": document,
+            "history": history,
         }
         data = json.dumps(draft, ensure_ascii=False, allow_nan=False).encode()
         if len(data) > LARGEST_DRAFT:
@@ -85,12 +89,14 @@ class Drafts:
 
     def of(self, path: str, etag: str) -> Optional[Dict[str, Any]]:
         """The draft of a file: ``document``, the ``etag`` of the files it was based on, when it was
-        ``saved_at`` (s since 1970), its ``version``, and whether the files have changed since
-        (``outdated``)."""
+        ``saved_at`` (s since 1970), its ``version`` and ``history``, and whether the files
+        have changed since (``outdated``)."""
         draft = self._read(self._file(path))
         if draft is None or draft.get("path") != path:
             return None
-        found = {key: draft.get(key) for key in ("document", "etag", "saved_at", "version")}
+        found = {
+            key: draft.get(key) for key in ("document", "etag", "saved_at", "version", "history")
+        }
         return {**found, "outdated": draft.get("etag") != etag}
 
     def version(self, path: str) -> str:

@@ -154,6 +154,7 @@ class PlanRepository:
         document: object,
         version: object = None,
         page: object = None,
+        history: object = None,
     ) -> str:
         """Store or delete unsaved work.
 
@@ -162,6 +163,7 @@ class PlanRepository:
         :param version: the version that the document is based on; without one, no other page may
             edit the plan.
         :param page: the page that sends it.
+        :param history: the edits that led to the document, as the page reads them again.
         :returns: the version of the draft; "" if there is none now.
         :raises OutdatedError: somebody has changed the plan since that version.
         :raises GspnError: it cannot be stored.
@@ -181,7 +183,7 @@ class PlanRepository:
             if not isinstance(etag, str) or len(etag) > 200:
                 raise UsageError("'etag' is missing")
             self._check_latest(name, version, page)
-            made = self.drafts.keep(name, etag, kept)
+            made = self.drafts.keep(name, etag, kept, _history(history))
             self.shared.changed(name, made)
             return made
 
@@ -357,6 +359,17 @@ class PlanRepository:
             if len(beside) < len(inner):
                 contents.update(contents_of(new))
         return contents
+
+
+def _history(sent: object) -> Optional[JsonObject]:
+    """The history of a draft. :raises UsageError: it is malformed."""
+    if sent is None:
+        return None
+    if not isinstance(sent, dict) or not all(
+        isinstance(sent.get(key), list) for key in ("done", "undone")
+    ):
+        raise UsageError("'history' does not list edits")
+    return {key: sent[key] for key in ("done", "undone")}
 
 
 def template_names() -> List[str]:

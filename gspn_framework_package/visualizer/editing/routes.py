@@ -104,7 +104,8 @@ def add_routes(app: flask.Flask, project: Project, body: RequestBody, streams: S
     def draft() -> Response:
         fields = body()
         try:
-            kept = repository.keep_draft(_path(), *(fields.get(key) for key in SENT))
+            sent = (fields.get(key) for key in (*SENT, "history"))
+            kept = repository.keep_draft(_path(), *sent)
         except OutdatedError as error:
             return outdated(error, error.theirs)
         return answer({"kept": bool(kept), "version": kept})

@@ -4,6 +4,7 @@ import { $, h, ask, cancelOr, attempt, labelled, menu, textField, toast } from "
 import { get, post, send } from "../api.js";
 import { deployToARun } from "../deploy.js";
 import { changeList, changesBetween } from "./diff_view.js";
+import { packedHistory, unpackedHistory } from "./history.js";
 import { conflictText, merged, same } from "./merge.js";
 import { pngOf, svgOf } from "./picture.js";
 
@@ -365,7 +366,9 @@ export class Files {
       return;
     }
     try {
-      const { version } = await this.request("draft", { ...this.basis(), document: state });
+      const history = packedHistory(mode.document, state);
+      const sent = { ...this.basis(), document: state, history };
+      const { version } = await this.request("draft", sent);
       Object.assign(opened, { version, common: state });
       if (state === mode.document.state && mode.document.dirty)
         this.note.textContent = `Draft stored at ${new Date().toLocaleTimeString()}`;
@@ -417,7 +420,7 @@ export class Files {
         this.draft = null;
         this.hideBanner();
         mode.diff.hide();
-        mode.document.edit("Continue the draft", () => draft.document);
+        this.continueDraft(draft);
         Object.assign(mode.opened, { version: draft.version, common: draft.document });
         if (older) mode.opened.etag = draft.etag; // saving it will ask about changes made since
         this.refresh();
@@ -434,6 +437,13 @@ export class Files {
         await attempt(() => this.follow()); // somebody else may work on it: then it stays
       }),
     );
+  }
+
+  /** Go on with a draft and its history; without one, undo restores the content of the files. */
+  continueDraft({ document: drafted, history }) {
+    const { document: edited } = this.mode;
+    if (history?.done.length) edited.restore(drafted, unpackedHistory(history, drafted));
+    else edited.edit("Continue the draft", () => drafted);
   }
 
   // -- export --------------------------------------------------------------------------------------

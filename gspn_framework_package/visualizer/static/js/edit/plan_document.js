@@ -102,6 +102,12 @@ export class PlanDocument extends EventTarget {
     return state === from ? to : merged(from, state, to, { rename: false }).state;
   }
 
+  /** Continue with a state and the history that led to it: {done, undone}. */
+  restore(state, history) {
+    Object.assign(this, history);
+    this.put(state, null);
+  }
+
   /** Use a state in which somebody else's changes are merged. */
   follow(state) {
     if (state !== this.state) this.put(state, null);
