@@ -215,7 +215,7 @@ class ActionCaller:
 
     def doing(self) -> str:
         """What the current goal waits for, in words; "" if its action runs or there is none."""
-        return self._goal.waits_for if self._goal else ""
+        return self._clock.stands() or self._goal.waits_for if self._goal else ""
 
     @property
     def connections(self) -> int:

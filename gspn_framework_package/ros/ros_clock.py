@@ -14,6 +14,10 @@ LOOK_EVERY = 0.05
 """Seconds between two readings of simulated time, which may pass at any rate."""
 
 
+STANDS_AFTER = 5.0
+"""Seconds without a step after which simulated time is said to stand still."""
+
+
 class RosClock(Clock):
     """The elapsed ROS time. Simulated time may pass slower, faster or not at all, but this clock
     never goes back. Read it regularly: a jump is detected at the next reading."""
@@ -21,6 +25,7 @@ class RosClock(Clock):
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._passed, self._last = 0.0, 0.0
+        self._moved_at = time.monotonic()
 
     def seconds(self) -> float:
         """See :class:`Clock`."""
@@ -32,9 +37,18 @@ class RosClock(Clock):
             if step < 0.0:
                 self.times_back += 1
                 self.back_by = -step
+            if now != self._last:
+                self._moved_at = time.monotonic()
             self._passed += max(0.0, step)
             self._last = now
             return self._passed
+
+    def stands(self) -> str:
+        """See :class:`Clock`."""
+        self.seconds()
+        if rospy.rostime.is_wallclock() or time.monotonic() - self._moved_at < STANDS_AFTER:
+            return ""
+        return "simulated time stands still (/clock), so no time limit of the plan passes"
 
     def look_at(self, due: float, now: float) -> float:
         """See :class:`Clock`."""

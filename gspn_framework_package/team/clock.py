@@ -19,6 +19,10 @@ class Clock:
         """Seconds since some fixed moment in the past."""
         return time.monotonic()
 
+    def stands(self) -> str:
+        """That simulated time does not pass, in words; "" if it does."""
+        return ""
+
     def look_at(self, due: float, now: float) -> float:
         """When to check whether this clock has reached ``due``, in monotonic seconds.
 

@@ -106,6 +106,9 @@ class JobRunner:
         running = self._current
         if running is None:
             return ""
+        standing = self._clock.stands()
+        if standing:
+            return standing
         if not running.started:
             return "waits before attempt %d" % running.attempt.command.attempt
         return running.attempt.waits_for

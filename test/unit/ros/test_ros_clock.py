@@ -10,7 +10,7 @@ import rospy
 
 from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.model.action import FunctionAction
-from gspn_framework_package.ros.ros_clock import LOOK_EVERY, RosClock
+from gspn_framework_package.ros.ros_clock import LOOK_EVERY, STANDS_AFTER, RosClock
 from gspn_framework_package.team.job_runner import JobRunner
 from gspn_framework_package.team.jobs import CANCELLED, Job
 
@@ -37,6 +37,23 @@ def test_time_passes_as_the_simulation_says_and_never_back(simulated):
     simulated(501.0)
     assert clock.seconds() - begin == 5.0
     assert clock.look_at(begin + 9.0, 70.0) == 70.0 + LOOK_EVERY
+
+
+def test_simulated_time_that_stands_still_is_named(simulated, monkeypatch):
+    here = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: here[0])
+    clock = RosClock()
+    simulated(1000.0)
+    assert clock.stands() == ""
+    here[0] += STANDS_AFTER - 0.1
+    assert clock.stands() == ""
+    here[0] += 0.1
+    assert "stands still (/clock)" in clock.stands()
+    simulated(1000.1)
+    assert clock.stands() == ""
+    monkeypatch.setattr(rospy.rostime, "is_wallclock", lambda: True)
+    here[0] += 60.0
+    assert clock.stands() == ""
 
 
 def test_the_clock_is_that_of_the_machine_where_time_is_not_simulated():
