@@ -230,9 +230,9 @@ def quiet_smach() -> None:
         threading.Thread.isAlive = threading.Thread.is_alive  # type: ignore[attr-defined]
 
 
-def plan_of_file(path: Path, robots: int = 1) -> ImportedPlan:
+def plan_of_file(path: Path, robots: int = 1, ticks: bool = False) -> ImportedPlan:
     """The plan of a file, which this process runs."""
-    return plan_of_found(str(path), describe_file(str(path), ""), robots)
+    return plan_of_found(str(path), describe_file(str(path), "", ticks), robots)
 
 
 def _loaded(path: Path, name: str) -> Any:
@@ -276,7 +276,7 @@ def run_by_plan(made: ImportedPlan, folder: Path) -> Run:
     actions.SECONDS_BETWEEN_TICKS = 0  # of trees
     net, marking = made.net, made.net.initial_marking
     ends = {place for place, action in made.plan["actions"].items() if action is None}
-    while True:
+    for _ in range(50 * MOST):
         (place,) = net.named(marking, zeros=False)
         if place in ends:
             return sys.modules["file_of_ann"].TRACE, place
@@ -289,3 +289,4 @@ def run_by_plan(made: ImportedPlan, folder: Path) -> Run:
                 raise
             return sys.modules["file_of_ann"].TRACE, None
         marking = net.fire(marking, net.transition_number(transition))
+    return sys.modules["file_of_ann"].TRACE, "runs on"

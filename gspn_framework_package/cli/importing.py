@@ -10,6 +10,7 @@ from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.options import Argument, Arguments
 from gspn_framework_package.making.behaviour_tree import import_tree
 from gspn_framework_package.making.python_file import import_python
+from gspn_framework_package.model.errors import UsageError
 
 OPTIONS: Arguments = {
     Argument(
@@ -23,6 +24,7 @@ OPTIONS: Arguments = {
         "the tree to begin with (default: the one that the file says); of a Python file, the "
         "function that makes it, or would run it, or the variable that holds it"
     ),
+    "--ticks": "of py_trees: each tick of a leaf is an action, as nodes without memory need it",
     "--run-file": "let a Python file run, which shows what it makes",
     "--json": "print a JSON object",
 }
@@ -33,7 +35,11 @@ EPILOG = "Exit codes: 0 the plan was written, 2 the file has what a plan cannot 
 def run(args: argparse.Namespace) -> int:
     """Make the plan."""
     if args.tree_file.endswith(".py"):
-        made = import_python(args.tree_file, args.robots, args.tree or "", args.run_file)
+        made = import_python(
+            args.tree_file, args.robots, args.tree or "", args.run_file, args.ticks
+        )
+    elif args.ticks:
+        raise UsageError("--ticks is for trees of py_trees")
     else:
         made = import_tree(args.tree_file, args.robots, args.tree)
     files = made.write(args.output)

@@ -11,8 +11,8 @@ Modules: ``colour_terms``, ``coloured``, ``difference``, ``dot``, ``draft``, ``e
 ``pipe_update``, ``plan_file``, ``plan_json``, ``plan_parts``, ``pnml``, ``pnml_family``,
 ``pnml_update``, ``pnpro``, ``pnpro_update``, ``prism``, ``python_root``, ``registry``,
 ``repetition``, ``routes``, ``schema_words``, ``smach_machine``, ``source``, ``subnets``,
-``symbolic``, ``thesis_input``, ``tina``, ``tool_data``, ``vocabulary``, ``xml_tree``,
-``xml_update``, ``yaml_file``.
+``symbolic``, ``thesis_input``, ``tina``, ``tool_data``, ``tree_ticks``, ``vocabulary``,
+``xml_tree``, ``xml_update``, ``yaml_file``.
 """
 
 from gspn_framework_package.formats.draft import ReadOptions

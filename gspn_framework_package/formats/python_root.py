@@ -2,7 +2,7 @@
 
 This runs the file, so it happens only in processes whose operator has said so: in the reader, which
 writes what it finds as JSON (``python3 -m gspn_framework_package.formats.python_root FILE NAME
-OUT``), and in the actions of a plan that was made of it.
+ticks|"" OUT``), and in the actions of a plan that was made of it.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import traceback
 from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 from gspn_framework_package.formats.smach_machine import describe_machine, recording
+from gspn_framework_package.formats.tree_ticks import NoLeafError, class_name, explore
 
 USUAL_NAMES = ("create_root", "create_tree", "create_machine", "create_state_machine", "main")
 """Functions and variables that are looked for if none is named."""
@@ -61,13 +62,13 @@ def load_root(
     :raises RootError: there is none, or the file fails.
     """
     folder = os.path.dirname(os.path.abspath(path))
-    if folder not in sys.path:
-        sys.path.insert(0, folder)
     spec = importlib.util.spec_from_file_location(module, path)
     if spec is None or spec.loader is None:
         raise RootError("it is no file of Python")
     loaded = sys.modules[module] = importlib.util.module_from_spec(spec)
     with _failures_of(path), _watched(lines):
+        if folder not in sys.path:  # once the libraries are there: it may have a logging.py
+            sys.path.insert(0, folder)
         spec.loader.exec_module(loaded)
         name = wanted or _usual_name(vars(loaded))
         if not hasattr(loaded, name):
@@ -200,12 +201,14 @@ def _made_at(node: Any) -> _Line:
     return frame.f_code.co_filename, frame.f_lineno
 
 
-def describe_file(path: str, wanted: str) -> Dict[str, Any]:
+def describe_file(path: str, wanted: str, ticks: bool = False) -> Dict[str, Any]:
     """Run a file, and return what it makes: ``kind`` (``py_trees`` or ``smach``), the ``name`` that
     was used, ``root`` (the node, with those below it), and the ``files`` in its folder that it ran,
     relative to it.
 
     :param wanted: as for :func:`load_root`.
+    :param ticks: also find the ``states`` of a tree from tick to tick, as
+        :func:`~gspn_framework_package.formats.tree_ticks.explore` returns them.
     :raises RootError: there is no tree or machine, or the file fails.
     """
     lines: Dict[int, _Line] = {}
@@ -218,16 +221,20 @@ def describe_file(path: str, wanted: str) -> Dict[str, Any]:
         file = getattr(module, "__file__", None) or ""
         if file.endswith(".py") and os.path.abspath(file).startswith(folder + os.sep):
             beside.append(os.path.relpath(os.path.abspath(file), folder))
-    return {"kind": kind, "name": name, "root": node, "files": sorted(set(beside))}
-
-
-def _class_name(node: Any) -> str:
-    return "%s.%s" % (type(node).__module__, type(node).__qualname__)
+    found: Dict[str, Any] = {"kind": kind, "name": name, "root": node, "files": sorted(set(beside))}
+    if ticks:
+        if kind != "py_trees":
+            raise RootError("a machine of SMACH has no ticks")
+        try:
+            found["states"] = explore(root)
+        except NoLeafError as error:
+            raise RootError(str(error), node["line"]) from None
+    return found
 
 
 def _tree_node(node: Any, lines: Dict[int, _Line]) -> Dict[str, Any]:
     found: Dict[str, Any] = {
-        "class": _class_name(node),
+        "class": class_name(node),
         "name": node.name,
         "line": lines.get(id(node)),
         "children": [_tree_node(child, lines) for child in node.children],
@@ -240,10 +247,10 @@ def _tree_node(node: Any, lines: Dict[int, _Line]) -> Dict[str, Any]:
 
 def main(words: List[str]) -> None:
     """Write what a file makes, or what is wrong with it."""
-    path, wanted, out = words
+    path, wanted, ticks, out = words
     os.dup2(2, 1)  # what the file prints is for people
     try:
-        found = describe_file(path, wanted)
+        found = describe_file(path, wanted, ticks == "ticks")
     except RootError as error:
         found = {"error": str(error), "where": error.where, "hint": error.hint}
     with open(out, "w", encoding="utf-8") as file:

@@ -11,7 +11,7 @@ from typing import Any, Callable, Dict, Iterator, Mapping, Optional, Tuple
 
 from gspn_framework_package.model.outcome import Outcome
 
-Path = Tuple[str, ...]
+StatePath = Tuple[str, ...]
 """The labels that lead from the machine to a state."""
 
 Lines = Mapping[int, Tuple[str, int]]
@@ -171,11 +171,11 @@ class MachineRun:
 
     def __init__(self, root: Any) -> None:
         self._root = root
-        self._items: Dict[Path, Iterator[Any]] = {}
-        self._next: Path = ()  # the state that comes next, by what has been run here
+        self._items: Dict[StatePath, Iterator[Any]] = {}
+        self._next: StatePath = ()  # the state that comes next, by what has been run here
         self._enter(())
 
-    def execute(self, path: Path, on_cancel: Callable[[Callable[[], None]], None]) -> str:
+    def execute(self, path: StatePath, on_cancel: Callable[[Callable[[], None]], None]) -> str:
         """Run a state, and return its outcome.
 
         :param on_cancel: is told what to call if the state should end early.
@@ -189,13 +189,13 @@ class MachineRun:
         self._leave(path, outcome)
         return str(outcome)
 
-    def _at(self, path: Path) -> Any:
+    def _at(self, path: StatePath) -> Any:
         state = self._root
         for label in path:
             state = state.get_children()[label]
         return state
 
-    def _userdata(self, path: Path) -> Any:
+    def _userdata(self, path: StatePath) -> Any:
         """What a state gets as its userdata."""
         smach = importlib.import_module("smach")
         if not path:
@@ -210,17 +210,17 @@ class MachineRun:
             around._remappings[path[-1]],
         )
 
-    def _copy_in(self, path: Path) -> None:
+    def _copy_in(self, path: StatePath) -> None:
         around = self._at(path)
         around._copy_input_keys(self._userdata(path), around.userdata)
         if iterates(around):
             self._items[path] = iter(around._items)
 
-    def _copy_out(self, path: Path) -> None:
+    def _copy_out(self, path: StatePath) -> None:
         around = self._at(path)
         around._copy_output_keys(around.userdata, self._userdata(path))
 
-    def _enter(self, path: Path) -> None:
+    def _enter(self, path: StatePath) -> None:
         around = self._at(path)
         if not hasattr(around, "get_children") or why_one_action(around):
             self._next = path
@@ -231,7 +231,7 @@ class MachineRun:
         else:
             self._enter((*path, around._initial_state_label))
 
-    def _iterate(self, path: Path) -> None:
+    def _iterate(self, path: StatePath) -> None:
         around = self._at(path)
         for item in self._items[path]:
             around.userdata[around._items_label] = item
@@ -239,11 +239,11 @@ class MachineRun:
             return
         self._end_iterator(path, around._exhausted_outcome)
 
-    def _end_iterator(self, path: Path, outcome: str) -> None:
+    def _end_iterator(self, path: StatePath, outcome: str) -> None:
         self._copy_out(path)
         self._leave(path, self._at(path)._final_outcome_map.get(outcome, outcome))
 
-    def _leave(self, path: Path, outcome: str) -> None:
+    def _leave(self, path: StatePath, outcome: str) -> None:
         """Go where the outcome of a state leads."""
         if not path:
             self._next = ()
@@ -263,7 +263,7 @@ class MachineRun:
         self._copy_out(above)
         self._leave(above, target if target in around.get_registered_outcomes() else outcome)
 
-    def _catch_up(self, path: Path) -> None:
+    def _catch_up(self, path: StatePath) -> None:
         """Leave and enter the containers in between, where others have run the last states."""
         stays = 0
         while stays < min(len(path), len(self._next)) and path[stays] == self._next[stays]:

@@ -16,7 +16,7 @@ from typing import Any, Callable, Dict, Mapping
 from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.making.leaf_plan import ImportedPlan
 from gspn_framework_package.making.python_machine import plan_of_machine
-from gspn_framework_package.making.python_tree import plan_of_tree
+from gspn_framework_package.making.python_tree import plan_of_ticks, plan_of_tree
 from gspn_framework_package.model.errors import InputError, UsageError
 
 LONGEST_READING = 60.0
@@ -33,7 +33,7 @@ _MAKERS: Mapping[str, _Make] = {"py_trees": plan_of_tree, "smach": plan_of_machi
 
 
 def import_python(
-    path: str, robots: int = 1, name: str = "", allowed: bool = False
+    path: str, robots: int = 1, name: str = "", allowed: bool = False, ticks: bool = False
 ) -> ImportedPlan:
     """Make a plan of a Python file.
 
@@ -41,6 +41,7 @@ def import_python(
     :param robots: number of robots; each runs the tree or machine on its own.
     :param name: the function that makes the tree or machine, or would run it, or the variable that
         holds it; "" for one of the usual names.
+    :param ticks: whether each tick of a leaf of a tree is an action.
     :param allowed: whether the operator lets the file run.
     :raises UsageError: the file may not run.
     :raises InputError: it fails, makes no tree or machine, or one that a plan cannot express; the
@@ -53,7 +54,7 @@ def import_python(
             file=path,
             hint="--run-file, if you trust it and what it imports",
         )
-    found = _read(path, name)
+    found = _read(path, name, ticks)
     if "error" in found:
         file, line = found["where"] or (path, None)
         raise InputError(found["error"], file=file, line=line, hint=found["hint"] or None)
@@ -67,7 +68,10 @@ def plan_of_found(path: str, found: Mapping[str, Any], robots: int) -> ImportedP
     :raises InputError: a plan cannot express it.
     """
     folder, base = os.path.split(os.path.abspath(path))
-    made = _MAKERS[found["kind"]](base, found["name"], found["root"], robots)
+    if "states" in found:
+        made = plan_of_ticks(base, found["name"], found["root"], found["states"], robots)
+    else:
+        made = _MAKERS[found["kind"]](base, found["name"], found["root"], robots)
     texts = {
         os.path.join(ORIGINAL, name): read_bytes(os.path.join(folder, name)).decode()
         for name in {base, *found["files"]}
@@ -75,13 +79,13 @@ def plan_of_found(path: str, found: Mapping[str, Any], robots: int) -> ImportedP
     return made._replace(files={**made.files, **texts})
 
 
-def _read(path: str, name: str) -> Dict[str, Any]:
+def _read(path: str, name: str, ticks: bool) -> Dict[str, Any]:
     """What the file makes, found by another process."""
     package = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
     paths = (package, os.environ.get("PYTHONPATH"))  # the same package that this process runs
     with tempfile.TemporaryDirectory() as folder:
         out = os.path.join(folder, "found.json")
-        words = [sys.executable, "-m", _READER, path, name, out]
+        words = [sys.executable, "-m", _READER, path, name, "ticks" if ticks else "", out]
         try:
             done = subprocess.run(
                 words,

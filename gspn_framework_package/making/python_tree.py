@@ -7,8 +7,9 @@ to tick, such as a Parallel, is one action, with all that is below it.
 from __future__ import annotations
 
 import json
-from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
+from gspn_framework_package.formats.tree_ticks import NEVER_RUNNING
 from gspn_framework_package.making.behaviour_tree import (
     FAILURE_PLACE,
     ON_FAILURE,
@@ -25,28 +26,17 @@ from gspn_framework_package.making.leaf_plan import (
 )
 from gspn_framework_package.model.errors import InputError
 
+ON_RUNNING = " goes on"
+"""What is appended to the name of a place for a tick after which the leaf is running."""
+
+_ENDINGS = {"SUCCESS": ON_SUCCESS, "FAILURE": ON_FAILURE, "RUNNING": ON_RUNNING}
+
 _DEEPEST = 200
 """Maximum depth of a tree."""
 
 _Node = Mapping[str, Any]
 _Path = Tuple[int, ...]
 """The numbers of the children that lead to a node."""
-
-_AT_ONCE = {
-    "py_trees.behaviours." + name
-    for name in (
-        "Success",
-        "Failure",
-        "BlackboardToStatus",
-        "CheckBlackboardVariableExists",
-        "CheckBlackboardVariableValue",
-        "CheckBlackboardVariableValues",
-        "CompareBlackboardVariables",
-        "SetBlackboardVariable",
-        "UnsetBlackboardVariable",
-    )
-}
-"""Leaves that are never running."""
 
 WHY_ONE_ACTION = {
     "Parallel": "its children run at the same time",
@@ -78,7 +68,7 @@ def plan_of_tree(file: str, name: str, root: _Node, robots: int) -> ImportedPlan
         raise refused(
             root,
             "the whole tree would be one action: %s" % made.whole,
-            "--tree NAME: a function that makes a part of it",
+            "--ticks: each tick of a leaf is an action; --tree NAME: a function that makes a part",
         )
     net, plan = plan_of_leaves(
         root["name"] or "tree",
@@ -88,14 +78,51 @@ def plan_of_tree(file: str, name: str, root: _Node, robots: int) -> ImportedPlan
         (SUCCESS_PLACE, FAILURE_PLACE),
         robots,
     )
-    text = _ACTIONS % {
+    text = _ACTIONS % {**_words(file, name), **_WHOLE_LEAVES}
+    says = "actions.py ticks the leaves of original/%s" % file
+    return ImportedPlan(net, plan, {"actions.py": text}, says, made.notes)
+
+
+def plan_of_ticks(
+    file: str, name: str, root: _Node, states: Sequence[Mapping[str, Any]], robots: int
+) -> ImportedPlan:
+    """Make a plan of a tree in which each tick of a leaf is an action.
+
+    :param file, name, root: as for :func:`plan_of_tree`.
+    :param states: as :func:`~gspn_framework_package.formats.tree_ticks.explore` returns them.
+    :raises InputError: there are too many.
+    """
+    if len(states) > MOST_LEAVES:
+        raise refused(root, "the tree has more than %d states" % MOST_LEAVES)
+    here = [Target() for _ in states]
+    leaves = []
+    for state, target in zip(states, here):
+        node = root
+        for number in state["path"]:
+            node = node["children"][number]
+        action = {"function": "actions.Node", "settings": {"path": list(state["path"])}}
+        outcomes = {
+            _ENDINGS[outcome]: Target(to) if isinstance(to, str) else here[to]
+            for outcome, to in state["leads"].items()
+        }
+        file_of, line = node["line"] or (None, None)
+        leaves.append(Leaf(target, node["name"], action, outcomes, None, file_of, line))
+    ends = (SUCCESS_PLACE, FAILURE_PLACE)
+    what = "behaviour tree '%s'" % root["name"]
+    net, plan = plan_of_leaves(root["name"] or "tree", what, leaves, here[0], ends, robots)
+    text = _ACTIONS % {**_words(file, name), **_TICKS}
+    says = "actions.py ticks the leaves of original/%s, one tick for each action" % file
+    return ImportedPlan(net, plan, {"actions.py": text}, says, [])
+
+
+def _words(file: str, name: str) -> Dict[str, str]:
+    return {
         "file": json.dumps(file),
         "name": json.dumps(name),
         "succeeds": ON_SUCCESS,
         "fails": ON_FAILURE,
+        "goes_on": ON_RUNNING,
     }
-    says = "actions.py ticks the leaves of original/%s" % file
-    return ImportedPlan(net, plan, {"actions.py": text}, says, made.notes)
 
 
 def refused(node: _Node, why: str, hint: Optional[str] = None) -> InputError:
@@ -249,7 +276,7 @@ def _is_at_once(node: _Node) -> bool:
     inner = (*plain, *("py_trees.decorators." + name for name in ended))
     if node["class"] in inner:
         return all(map(_is_at_once, node["children"]))
-    return node["class"] in _AT_ONCE
+    return node["class"] in NEVER_RUNNING
 
 
 _Make = Callable[[_Tree, _Node, _Path, Target, Target], Target]
@@ -278,42 +305,59 @@ import os
 import threading
 
 from gspn_framework_package.formats.python_root import load_root
+from gspn_framework_package.formats.tree_ticks import TreeSteps, node_at
 
 SECONDS_BETWEEN_TICKS = 0.1
 
 FILE = os.path.join(os.path.dirname(os.path.abspath(__file__)), "original", %(file)s)
 NAME = %(name)s
+OUTCOMES = {"SUCCESS": "%(succeeds)s", "FAILURE": "%(fails)s", "RUNNING": "%(goes_on)s"}
 
-_roots, _lock = {}, threading.Lock()
+_trees, _lock = {}, threading.Lock()
 
 
-def root_of(robot):
+def tree_of(robot):
     """The robot's own tree, made and set up when it is first needed."""
     with _lock:
-        if robot not in _roots:
+        if robot not in _trees:
             _, root = load_root(FILE, NAME, "file_of_" + robot)
             for node in root.iterate():
                 node.setup()
-            _roots[robot] = root
-        return _roots[robot]
+            _trees[robot] = %(tree)s
+        return _trees[robot]
 
 
 class Node:
-    """Ticks a leaf, or a part of the tree, until it ends, and names its outcome."""
+    """%(does)s, and names its outcome."""
 
     def __init__(self, path):
-        self.path = path
+        self.path = tuple(path)
 
     def __call__(self, place, robot, is_cancelled):
         """Tick it."""
-        node = root_of(robot)
-        for number in self.path:
-            node = node.children[number]
+%(run)s
+'''
+
+_WHOLE_LEAVES = {
+    "tree": "root",
+    "does": "Ticks a leaf, or a part of the tree, until it ends",
+    "run": """\
+        node = node_at(tree_of(robot), self.path)
         node.tick_once()
         while node.status.name == "RUNNING":
             if is_cancelled.wait(SECONDS_BETWEEN_TICKS):
                 node.stop(type(node.status).INVALID)
                 return None
             node.tick_once()
-        return place + ("%(succeeds)s" if node.status.name == "SUCCESS" else "%(fails)s")
-'''
+        return place + OUTCOMES.get(node.status.name, OUTCOMES["FAILURE"])""",
+}
+
+_TICKS = {
+    "tree": "TreeSteps(root)",
+    "does": "Ticks a leaf once",
+    "run": """\
+        status, ended = tree_of(robot).tick(place, self.path)
+        if ended:  # the tick of the whole tree
+            is_cancelled.wait(SECONDS_BETWEEN_TICKS)
+        return place + OUTCOMES.get(status, OUTCOMES["FAILURE"])""",
+}

@@ -16,10 +16,11 @@ sys.path[:0] = [str(TEST), str(TEST.parent)]
 
 import python_machines as machines
 
+from gspn_framework_package.formats.python_root import RootError
 from gspn_framework_package.model.errors import InputError
 
 
-def differing(library, number, text_of, run):
+def differing(library, number, text_of, run, **more):
     """Return the seeds that differ, after a line on what was compared."""
     refused, endings, whole, differ = collections.Counter(), collections.Counter(), 0, []
     with tempfile.TemporaryDirectory() as folder:
@@ -29,9 +30,9 @@ def differing(library, number, text_of, run):
             path = Path(folder) / ("file_%d.py" % seed)
             path.write_text(text_of(seed))
             try:
-                made = machines.plan_of_file(path)
-            except InputError as error:
-                refused[error.message.partition("'")[0]] += 1
+                made = machines.plan_of_file(path, **more)
+            except (InputError, RootError) as error:
+                refused[str(error).rpartition(".py")[2][:60]] += 1
                 continue
             theirs = run(path)
             ours = machines.run_by_plan(made, Path(folder) / ("plan_%d" % seed))
@@ -53,6 +54,8 @@ def main():
     parser.add_argument("--number", type=int, default=500, help="that many are compared of each")
     number = parser.parse_args().number
     differ = differing("py_trees", number, machines.random_py_tree, machines.run_by_py_trees)
+    trees = (machines.random_py_tree, machines.run_by_py_trees)
+    differ += differing("py_trees, from tick to tick", number, *trees, ticks=True)
     machines.quiet_smach()
     differ += differing("SMACH", number, machines.random_machine, machines.run_by_smach)
     return 1 if differ else 0

@@ -13,6 +13,8 @@ from python_machines import plan_of_file, random_py_tree, run_by_plan, run_by_py
 
 import gspn
 from gspn_framework_package.cli.main import main
+from gspn_framework_package.formats.python_root import RootError, load_root
+from gspn_framework_package.formats.tree_ticks import TreeSteps
 from gspn_framework_package.making.python_file import import_python
 from gspn_framework_package.model.errors import InputError, UsageError
 
@@ -39,14 +41,15 @@ def _made(tmp_path):
     return make
 
 
-def test_30_random_trees_of_py_trees_do_what_their_plans_do(tmp_path):
+@pytest.mark.parametrize("ticks, seeds", [(False, 60), (True, 45)])
+def test_random_trees_of_py_trees_do_what_their_plans_do(tmp_path, ticks, seeds):
     compared = ended = 0
-    for seed in range(60):
+    for seed in range(seeds):
         path = tmp_path / ("tree_%d.py" % seed)
         path.write_text(random_py_tree(seed))
         try:
-            plan = plan_of_file(path)
-        except InputError:
+            plan = plan_of_file(path, ticks=ticks)
+        except (InputError, RootError):
             continue
         theirs = run_by_py_trees(path)
         assert run_by_plan(plan, tmp_path / ("plan_%d" % seed)) == theirs, path.read_text()
@@ -54,6 +57,38 @@ def test_30_random_trees_of_py_trees_do_what_their_plans_do(tmp_path):
         ended += theirs[1] is not None
     assert compared > 30
     assert ended > 25
+
+
+def test_each_tick_is_an_action_where_it_is_asked_for(made):
+    plan = made("c.Selector('s', False, [leaf('A'), leaf('B')])", ticks=True)
+    net, found = plan.net, {}
+    for transition in net.transitions:
+        here, _, word = transition.name.partition(" ")
+        marking = net.fire(net.marking({here: 1}), net.transition_number(transition.name))
+        (found[here, word],) = net.named(marking, zeros=False)
+    assert found == {
+        ("A", "succeeds"): "SUCCESS",
+        ("A", "fails"): "B",
+        ("A", "goes on"): "A",
+        ("B", "succeeds"): "SUCCESS",
+        ("B", "fails"): "FAILURE",
+        ("B", "goes on"): "A",
+    }
+
+
+def test_a_tick_whose_outcome_was_not_taken_is_not_done_again(tmp_path):
+    path = tmp_path / "tree.py"
+    path.write_text(
+        HEAD
+        + "def create_root(): return c.Sequence('s', False, [Success('A'), Success('B'), leaf('C')])"
+    )
+    steps = TreeSteps(load_root(str(path), "", "the_tree")[1])
+    assert steps.tick("A", (0,)) == ("SUCCESS", False)
+    assert steps.tick("A", (0,)) == ("SUCCESS", False)
+    with pytest.raises(RuntimeError, match="the robot's tree is elsewhere"):
+        steps.tick("C", (2,))
+    assert steps.tick("B", (1,)) == ("SUCCESS", False)
+    assert steps.tick("C", (2,)) == ("RUNNING", True)
 
 
 @pytest.mark.parametrize(
@@ -73,6 +108,12 @@ def test_what_a_plan_cannot_express_is_named_with_its_line(made, expression, mes
     with pytest.raises(InputError) as told:
         made(expression)
     assert message in str(told.value)
+
+
+def test_a_tree_that_runs_on_without_a_leaf_has_no_ticks(made):
+    once = "d.OneShot('o', Success('A'), py_trees.common.OneShotPolicy.ON_COMPLETION)"
+    with pytest.raises(RootError, match="running for ever without ticking a leaf"):
+        made("d.SuccessIsRunning('r', %s)" % once, ticks=True)
 
 
 def test_a_part_that_is_one_action_is_named_with_its_line_and_why(made):
@@ -158,6 +199,7 @@ def test_the_command_writes_a_plan_that_is_checked_analysed_simulated_and_run(tm
     words = ["import", str(tmp_path / "tree.py"), "-o", str(folder), "--run-file"]
     assert main([*words, "--tree", "main", "--robots", "2", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["places"] == 6
+    assert main([*words[:3], str(tmp_path / "ticked"), "--run-file", "--ticks"]) == 0
     (tmp_path / "tree.py").unlink()
     (tmp_path / "parts.py").unlink()
     plan = gspn.load(folder)
@@ -169,3 +211,11 @@ def test_the_command_writes_a_plan_that_is_checked_analysed_simulated_and_run(tm
     assert sorted(firing["transition"] for firing in ran.firings) == sorted(
         ["go to kitchen succeeds", "go to door succeeds"] * 2
     )
+    ticked = gspn.load(tmp_path / "ticked")
+    assert ticked.check().verdict == "may run"
+    assert [firing["transition"] for firing in ticked.run(seconds=20).firings] == [
+        "go to kitchen goes on",
+        "go to kitchen succeeds",
+        "go to door goes on",
+        "go to door succeeds",
+    ]

@@ -19,6 +19,7 @@ from python_machines import (
 
 import gspn
 from gspn_framework_package.cli.main import main
+from gspn_framework_package.formats.python_root import RootError
 from gspn_framework_package.formats.smach_machine import MachineRun
 from gspn_framework_package.model.errors import InputError
 
@@ -182,6 +183,11 @@ def test_containers_are_left_and_entered_after_states_that_others_ran():
     assert run.execute(("INNER", "B"), lambda stop: None) == "ok"
     assert run.execute(("AFTER",), lambda stop: None) == "ok"
     assert seen == [5, 6]
+
+
+def test_a_machine_has_no_ticks(made):
+    with pytest.raises(RootError, match="has no ticks"):
+        made(add("A", "state('done')"), ticks=True)
 
 
 # --- SimpleActionState, of a smach_ros that has no ROS
