@@ -102,8 +102,7 @@ class Drafts:
     def version(self, path: str) -> str:
         """The version of the draft of a file; "" if there is none."""
         draft = self._read(self._file(path))
-        found = draft.get("version", "") if draft and draft.get("path") == path else ""
-        return found if isinstance(found, str) else ""
+        return str(draft["version"]) if draft and draft.get("path") == path else ""
 
     def forget(self, path: str) -> None:
         """Delete the draft of a file, if there is one."""
@@ -122,5 +121,7 @@ class Drafts:
             draft = json.loads(read_bytes(file, LARGEST_DRAFT))
         except (InputError, ValueError, RecursionError):
             return None
-        is_draft = isinstance(draft, dict) and isinstance(draft.get("document"), dict)
-        return draft if is_draft else None
+        if not isinstance(draft, dict) or not isinstance(draft.get("document"), dict):
+            return None
+        # a draft of an earlier release has no version: the time when it was stored names it
+        return {"version": "of %s" % draft.get("saved_at"), **draft}

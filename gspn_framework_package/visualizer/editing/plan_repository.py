@@ -214,7 +214,7 @@ class PlanRepository:
     def _latest(self, path: str) -> Dict[str, Any]:
         opened = self._open(path)
         draft = self.drafts.of(opened.path, opened.etag)
-        if draft is None or not draft["version"]:
+        if draft is None:
             state = {"version": opened.etag, "etag": opened.etag, "document": opened.document}
             return {**state, "draft": False}
         return {**{key: draft[key] for key in ("version", "etag", "document")}, "draft": True}

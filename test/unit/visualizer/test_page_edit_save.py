@@ -617,6 +617,21 @@ def test_a_state_that_is_based_on_an_earlier_one_is_refused_with_the_present_one
     assert refused.get_json()["theirs"]["version"] == latest["version"]
 
 
+def test_a_draft_of_an_earlier_release_is_the_latest_state_too(folder, editor):
+    opened = editor.open("patrol/plan.json")
+    editor.send("draft", "patrol/plan.json", **{k: opened[k] for k in ("etag", "document")})
+    (file,) = (folder / ".gspn_drafts").iterdir()
+    draft = json.loads(file.read_text())
+    draft["document"]["plan"]["seed"] = 8
+    file.write_text(json.dumps({k: draft[k] for k in ("path", "etag", "saved_at", "document")}))
+    found = editor.open("patrol/plan.json")["draft"]
+    latest = editor.get("/api/edit/latest?id=file-patrol/plan.json").get_json()
+    assert latest["draft"] and latest["document"]["plan"]["seed"] == 8
+    assert latest["version"] == found["version"] and found["history"] is None
+    told = editor.send("here", "patrol/plan.json", page="ann").get_json()
+    assert told["version"] == found["version"]
+
+
 def test_pages_at_one_plan_hear_of_each_other(editor):
     name = "?id=file-patrol/plan.json"
     stream = editor.get("/api/edit/stream%s&page=ann" % name)
