@@ -135,6 +135,11 @@ def test_what_both_changed_is_shown_element_by_element(people, picture, axe):
     ben.context.set_offline(False)
     ben.wait_for_selector("#ed-both li:has-text('place A, tokens: yours is 5, theirs 3')")
     ben.wait_for_selector("#ed-both li:has-text('place B')")
+    assert ben.locator("#ed-both li button").count() == 1  # what one removed stays
+    assert ben.evaluate(
+        "(tabs) => { const t = document.querySelector(tabs); return t.scrollWidth <= t.clientWidth; }",
+        "#ed-tabs",
+    )
     picture(ben, "edit_conflicts")
     axe(ben, "what both changed")
     assert places(ben)["B"]["tokens"] == 4  # changed by the one, so it stays

@@ -164,7 +164,8 @@ export class Together {
         "aria-label": `Take theirs: ${conflictText(conflict)}`,
         onclick: () => take(conflict, item),
       });
-      const item = h("li", conflictText(conflict), " ", !conflict.needed && button);
+      const choice = conflict.mine !== undefined && conflict.theirs !== undefined; // what one removed stays
+      const item = h("li", conflictText(conflict), " ", choice && button);
       return item;
     });
     this.both.replaceChildren(
