@@ -2,14 +2,15 @@
 proofs and searches find it.
 
 Each site is broken in three ways, for teams of each size: one robot fits in a node, so that robots
-block each other; the rows of a policy for one marking are missing; nothing leads out of a node with
-a task.
+block each other; the rows of a policy for a marking that a run came to are missing; nothing leads
+out of a node that it came to.
 Each answer has firings that were played.
 """
 
 from __future__ import annotations
 
 import argparse
+import random
 import tempfile
 import time
 from dataclasses import replace
@@ -33,15 +34,30 @@ from gspn_framework_package.model.policy import Policy
 COLUMNS = ("site", "robots", "broken", "verdict", "decided by", "seconds", "CPU [s]", "firings")
 
 
+def visited(plan: Plan, firings: int) -> Dict[str, int]:
+    """A marking that a random run comes to, in which a task is done and a robot is in a node where
+    none was at first."""
+    problem = problem_of(plan, MarkingQuestion(CAN_MOVE))
+    draw, marking = random.Random(4), problem.net.initial_marking
+    starts = {robot.place for robot in plan.robots}
+    while True:
+        marking = problem.net.fire(marking, draw.choice(list(problem.fires(marking))))
+        firings -= 1
+        named = problem.net.named(marking, zeros=False)
+        somewhere_else = any(p.startswith("At_") and p not in starts for p in named)
+        if firings < 0 and somewhere_else and set(plan.policy.places) - set(named):
+            return named
+
+
 def broken_plans(site: str, robots: int) -> Iterator[Tuple[str, Plan, MarkingQuestion]]:
     """The plans of a site, each with how it is broken and the question that finds it."""
     with tempfile.TemporaryDirectory() as folder:
         sound = site_plan(site, robots, Path(folder) / "sound")
         narrow = site_plan(site, robots, Path(folder) / "narrow", node_capacity=1)
     yield "narrow nodes", narrow, MarkingQuestion(CAN_MOVE)
-    due = [place.name for place in sound.net.places if place.name.startswith("Due_Work_")]
+    somewhere = visited(sound, 60)
     policy = sound.policy
-    counts = [int(place != due[0]) for place in policy.places]  # one task was done
+    counts = [somewhere.get(place, 0) for place in policy.places]
     rows = [
         row
         for row in policy.rows
@@ -52,7 +68,9 @@ def broken_plans(site: str, robots: int) -> Iterator[Tuple[str, Plan, MarkingQue
         replace(sound, policy=Policy(policy.places, rows), strict=True),
         MarkingQuestion(NO_ROW),
     )
-    node = due[len(due) // 2].replace("Due_Work_", "At_")
+    starts = {robot.place for robot in sound.robots}
+    at = next(p for p in somewhere if p.startswith("At_") and p not in starts)
+    node = at.rsplit("_", 1)[0]
     key = "key_to_" + node
     net = sound.net.with_place(Place(key))
     for t, inputs in enumerate(sound.net.inputs):
