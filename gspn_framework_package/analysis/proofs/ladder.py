@@ -57,7 +57,7 @@ QUESTION_MARKINGS = 200_000
 FEW_MARKINGS = 2_000
 """Number of markings that are visited before the guided search."""
 
-FEW_PLACES = 150
+PLACES_EXPLORED = 150
 """Number of places up to which exploration finds what random walks would."""
 
 FIRST_FIRINGS = 400
@@ -188,7 +188,7 @@ class _Ladder:
         """Take the steps until one decides."""
         if self._problem.is_bad(self._problem.net.initial_marking):
             return self._violated("exploration", ())
-        large = len(self._problem.net.places) > FEW_PLACES
+        large = len(self._problem.net.places) > PLACES_EXPLORED
         answer = self._wander(1.0, FIRST_FIRINGS) if large else None
         if answer is not None:
             return answer

@@ -32,7 +32,6 @@ from gspn_framework_package.analysis.plan.edited_nets import counts_that_end, wi
 from gspn_framework_package.analysis.plan.structure import may_be_named, terminal_places
 from gspn_framework_package.analysis.proofs.checker import (
     FALSE,
-    TRUE,
     All,
     Atom,
     Formula,
@@ -43,6 +42,7 @@ from gspn_framework_package.analysis.proofs.checker import (
     opposite,
 )
 from gspn_framework_package.analysis.proofs.conditions import condition_of, facts_of, formula_of
+from gspn_framework_package.analysis.proofs.policy_rows import MOST_PROOF_ROWS, RowsOfPlaces
 from gspn_framework_package.analysis.proofs.returning import (
     FiringsLeft,
     nearing,
@@ -53,7 +53,6 @@ from gspn_framework_package.model.condition import Condition
 from gspn_framework_package.model.errors import LimitError, UsageError
 from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.model.policy import PolicyRow, PolicyTable
 
 DEAD, NEVER, ALWAYS, APART, FIRES, NO_ROW = "dead", "never", "always", "apart", "fires", "no_row"
 
@@ -77,9 +76,6 @@ _STATEMENTS = {
     CAN_MOVE: "every robot that is not at an end can move again, from every marking",
     CAN_END: "the end of the run, or of all robots, can be reached from every marking",
 }
-
-MOST_PROOF_ROWS = 20_000
-"""Most steps through the rows of a policy."""
 
 
 class MarkingQuestion(NamedTuple):
@@ -241,7 +237,7 @@ class _OfPlan:
             for p in sorted(self._robots)
             if self._original[p] not in ends
         }
-        self._rows = _RowsOfPlaces(self._table, self._net, self._original)
+        self._rows = RowsOfPlaces(self._table, self._net, self._original)
 
     def problem(self) -> Problem:
         """The question as a problem."""
@@ -547,94 +543,6 @@ class _OfPlan:
             for t in self._net.consumers[p]
             if t < self._own and not self._net.transitions[t].timed
         ]
-
-
-class _RowsOfPlaces:
-    """The rows of a policy that decide for each place of ``net``, by precedence."""
-
-    def __init__(self, table: PolicyTable, net: Net, original: Sequence[int]) -> None:
-        policy = table.policy
-        self._policy, self._net, self._table, self._original = policy, net, table, original
-        scopes = policy.scope_numbers()
-        self._scope = [scopes.get(place.name, 0) for place in net.places]
-        self._row_scope = policy.row_scopes()
-        self._steps = 0
-        self._matches: Dict[int, Formula] = {}  # scope -> one of its rows matches
-        self._cells = [tuple(self._row_cells(row)) for row in policy.rows]
-
-    def scope(self, p: int) -> int:
-        """The number of the scope of a place."""
-        return self._scope[p]
-
-    def in_scope(self, scope: int) -> List[int]:
-        """The rows of a scope."""
-        return [number for number, of in enumerate(self._row_scope) if of == scope]
-
-    def _row_cells(self, row: PolicyRow) -> Iterator[Formula]:
-        """What a row asks for."""
-        for name, count in zip(self._policy.places, row.counts):
-            if count is not None:
-                p = self._net.place_number(name)
-                yield Atom(((p, -1),), -count)
-                yield from [Atom(((p, 1),), count)] * (count > 0)
-
-    def bits(self, number: int) -> Tuple[int, int]:
-        """The places that a row wants empty, and those that it wants marked, as bits of their
-        numbers."""
-        empty = marked = 0
-        for name, count in zip(self._policy.places, self._policy.rows[number].counts):
-            if count is not None:
-                bit = 1 << self._net.place_number(name)
-                empty, marked = empty | bit * (count == 0), marked | bit * (count > 0)
-        return empty, marked
-
-    def match(self, number: int) -> Formula:
-        """A row matches."""
-        return All(self._cells[number])
-
-    def matches(self, scope: int) -> Formula:
-        """Some row of a scope matches."""
-        if scope not in self._matches:
-            rows = [self._cells[number] for number in self.in_scope(scope)]
-            found = TRUE if () in rows else Some(tuple(map(All, rows)))
-            self._matches[scope] = found
-        return self._matches[scope]
-
-    def any_matches(self, p: int) -> Formula:
-        """Some row of the scope of a place matches."""
-        return self.matches(self._scope[p])
-
-    def of(self, p: int) -> Iterator[Tuple[int, Sequence[int]]]:
-        """The rows that decide for a place, by precedence, each with the transitions that it lets a
-        robot choose there; those without any let robots wait."""
-        place = self._original[p]
-        for number in self._table.deciding(place):
-            yield number, sorted(t for t, _ in self._table.choices_of_row(number, place))
-
-    def by_precedence(
-        self, p: int
-    ) -> Iterator[Tuple[int, Tuple[Formula, ...], Sequence[int], List[Formula]]]:
-        """The rows of :meth:`of`, each with what it asks for, what it lets robots choose, and that
-        rows which take precedence match.
-
-        :raises LimitError: there are too many.
-        """
-        seen: List[int] = []
-        for number, chosen in self.of(p):
-            before = [self.match(other) for other in seen if self._overlap(other, number)]
-            yield number, self._cells[number], chosen, before
-            seen.append(number)
-            self._steps += 1 + len(seen) // 10 + len(chosen)
-            if self._steps > MOST_PROOF_ROWS:
-                raise LimitError("not decided: the policy is too large for a proof")
-
-    def _overlap(self, first: int, second: int) -> bool:
-        """Whether two rows match a common marking."""
-        rows = self._policy.rows
-        return all(
-            None in cells or cells[0] == cells[1]
-            for cells in zip(rows[first].counts, rows[second].counts)
-        )
 
 
 def _without(formula: Formula, excluded: Formula) -> Formula:

@@ -37,7 +37,7 @@ FEW_FOLLOWED = 1_000
 MOST_PROOFS = 5
 """Most markings of a question from which a proof is tried."""
 
-PROOF_SECONDS = 1.0
+SECONDS_OF_PROOF = 1.0
 """Time for each of them (s)."""
 
 
@@ -199,7 +199,7 @@ def never_returns(
             net.with_marking(marking), tuple(range(len(net.transitions))), (goal,), holds, fires
         )
         try:
-            found = Prover(problem, Watch(seconds=PROOF_SECONDS)).prove()
+            found = Prover(problem, Watch(seconds=SECONDS_OF_PROOF)).prove()
             if not isinstance(found, Candidate):
                 check_certificate(problem, found)
                 return True

@@ -19,7 +19,7 @@ from gspn_framework_package.analysis.plan.markings import PlanMarkings
 from gspn_framework_package.analysis.preflight import MARKING_LIMIT, check
 from gspn_framework_package.analysis.preflight.markings import COUNTS_BEFORE_PROOFS
 from gspn_framework_package.analysis.preflight.report import Severity
-from gspn_framework_package.analysis.proofs import prover, questions, witness
+from gspn_framework_package.analysis.proofs import policy_rows, prover, witness
 from gspn_framework_package.analysis.proofs.checker import (
     ProofError,
     check_certificate,
@@ -254,7 +254,7 @@ def test_a_marked_trap_excludes_what_the_state_equation_allows(monkeypatch):
 
 def test_what_is_too_large_stays_open(monkeypatch):
     plan = read_plan(str(PLANS / "inspection"))
-    monkeypatch.setattr(questions, "MOST_PROOF_ROWS", 5)
+    monkeypatch.setattr(policy_rows, "MOST_PROOF_ROWS", 5)
     (step,) = decide_question(plan, MarkingQuestion(DEAD)).steps
     assert "the policy is too large" in step.outcome
     huge = NetBuilder("huge").place("a", tokens=10**9).exponential("go", inputs="a", outputs="a")

@@ -267,7 +267,7 @@ def narrow(robots, folder):
 def test_robots_that_block_each_other_while_others_go_on_are_found_by_walking(
     tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(ladder, "FEW_PLACES", 0)
+    monkeypatch.setattr(ladder, "PLACES_EXPLORED", 0)
     for robots, verdict in ((1, PROVEN), (12, VIOLATED)):
         (tmp_path / str(robots)).mkdir()
         plan = narrow(robots, tmp_path / str(robots))
