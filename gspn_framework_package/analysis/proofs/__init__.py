@@ -2,7 +2,7 @@
 
 Modules: ``ladder`` (decides a question, step by step), ``questions`` (what is asked, as facts about
 markings; with ``conditions`` and ``policy_rows`` as inequalities, and ``returning`` for what can be
-reached again), ``prover`` and ``witness`` (search for proofs, and for firings that lead to a marking),
-``checker`` (checks proofs, and needs neither NumPy nor a solver), ``answers`` (what they add to a
-report).
+reached again), ``prover`` and ``witness`` (search for proofs, and for firings that lead to a
+marking), ``checker`` (checks proofs, and needs neither NumPy nor a solver), ``answers`` (what they
+add to a report).
 """
