@@ -179,9 +179,11 @@ def _watched(lines: Optional[Dict[int, _Line]]) -> Iterator[None]:
             "init_node",
             lambda _: lambda *_, **__: rospy.rostime.set_rostime_initialized(True),
         )
+    words, sys.argv = sys.argv, sys.argv[:1]  # those of this program are not for the file
     try:
         yield
     finally:
+        sys.argv = words
         for owner, name, old in reversed(replaced):
             setattr(owner, name, old)
 

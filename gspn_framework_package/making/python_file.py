@@ -6,8 +6,10 @@ they are. Another process does that, and only if the operator has allowed it.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -86,24 +88,28 @@ def _read(path: str, name: str, ticks: bool) -> Dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         out = os.path.join(folder, "found.json")
         words = [sys.executable, "-m", _READER, path, name, "ticks" if ticks else "", out]
+        reader = subprocess.Popen(
+            words,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))},
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,
+        )
         try:
-            done = subprocess.run(
-                words,
-                check=False,
-                env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))},
-                stdin=subprocess.DEVNULL,
-                timeout=LONGEST_READING,
-            )
+            code = reader.wait(LONGEST_READING)
         except subprocess.TimeoutExpired:
             raise InputError(
                 "it has made no tree or machine within %g s" % LONGEST_READING,
                 file=path,
                 hint="--tree NAME: a function that only makes it",
             ) from None
+        finally:  # with the processes that the file has started
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(reader.pid, signal.SIGKILL)
+            reader.wait()
         try:
             with open(out, "rb") as file:
                 return dict(json.load(file))
         except (OSError, ValueError):
             raise InputError(
-                "it ended the process that read it (exit code %d)" % done.returncode, file=path
+                "it ended the process that read it (exit code %d)" % code, file=path
             ) from None

@@ -3,7 +3,9 @@
 import json
 import os
 import sys
+import time
 
+import psutil
 import pytest
 
 if sys.version_info < (3, 9):  # the tests with old libraries have none of these
@@ -158,7 +160,31 @@ def test_a_file_does_not_run_without_the_operators_word(tmp_path, capsys):
     capsys.readouterr()
 
 
+def test_processes_that_a_file_starts_end_with_its_reading(tmp_path):
+    path, started = tmp_path / "tree.py", tmp_path / "started"
+    path.write_text(
+        HEAD + "import subprocess\n"
+        "process = subprocess.Popen(['sleep', '1000'])\n"
+        "open(%r, 'w').write(str(process.pid))\n"
+        "def create_root(): return c.Sequence('s', True, [leaf('A')])\n" % str(started)
+    )
+    import_python(str(path), allowed=True)
+    process = int(started.read_text())
+    deadline = time.monotonic() + 10
+    while _runs(process):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def _runs(process):
+    try:
+        return psutil.Process(process).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
 PATROL = """\
+import argparse
 import py_trees
 from parts import Move
 
@@ -169,6 +195,7 @@ def create_root():
     return root
 
 def main():
+    argparse.ArgumentParser().parse_args()
     print("patrolling")
     py_trees.trees.BehaviourTree(create_root()).tick_tock(100)
 """
