@@ -91,10 +91,11 @@ def name_places(leaves: Sequence[Leaf], ends: Sequence[str]) -> None:
     """Name the places as the leaves, with a number where several have one name."""
     taken = set(ends)
     for leaf in leaves:
-        name, number = leaf.wanted, 1
+        wanted = " ".join(leaf.wanted.split())  # names of others may have line breaks
+        name, number = wanted, 1
         while name in taken:
             number += 1
-            name = "%s %d" % (leaf.wanted, number)
+            name = "%s %d" % (wanted, number)
         taken.add(name)
         leaf.here.name = name
 

@@ -78,6 +78,12 @@ def test_each_tick_is_an_action_where_it_is_asked_for(made):
     }
 
 
+def test_a_name_with_a_line_break_is_on_one_line(made, tmp_path):
+    plan = made("c.Sequence('s', True, [leaf('Clear\\ntask'), leaf('Clear task')])")
+    assert list(plan.plan["actions"])[:2] == ["Clear task", "Clear task 2"]
+    plan.write(str(tmp_path / "plan"))
+
+
 def test_a_tick_whose_outcome_was_not_taken_is_not_done_again(tmp_path):
     path = tmp_path / "tree.py"
     path.write_text(
