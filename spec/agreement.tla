@@ -335,6 +335,11 @@ eviction_items(p, s, robots, k) ==
 NextBallots(p, s) ==
   {<<c, name(p), s.log_id>> : c \in s.promised[1] + 1 .. MaxCounter}
 
+\* What a proposer may try next, and with which counter. The code may put several entries into a
+\* batch, and pass counters by; trace.tla allows both.
+batches(s) == {<<i>> : i \in available(s)}
+counters(s) == {s.promised[1] + 1}
+
 \* Something of ours waits, or of a robot that has no vote. (Others tell the leader: lead_on.)
 wants(p, s) ==
   \/ s.frozen_by \/ s.moves # <<>>
@@ -348,9 +353,9 @@ propose(p) ==
   /\ up(p) /\ length(s.ledger) < MaxLength /\ wants(p, s)
   /\ may_vote(p, s) \/ t # NoneTorn
   /\ NextBallots(p, s) # {}
-  /\ \E frozen \in IF Partial /\ Pauses + GiveBacks > 0 THEN BOOLEAN ELSE {FALSE} :
-     LET c == s.promised[1] + 1
-         ballot == <<c, name(p), s.log_id>>
+  /\ \E frozen \in IF Partial /\ Pauses + GiveBacks > 0 THEN BOOLEAN ELSE {FALSE},
+        c \in counters(s) :
+     LET ballot == <<c, name(p), s.log_id>>
          a == [phase |-> 1, ballot |-> ballot, frozen |-> frozen, torn |-> t]
      IN Step(p, [s EXCEPT !.promised = ballot, !.attempt = a, !.followers = {},
                           !.frozen_by = @ \/ frozen],
@@ -378,8 +383,8 @@ lead_on(p) ==
   LET s == state[p] IN
   /\ up(p) /\ length(s.ledger) < MaxLength
   /\ may_vote(p, s) /\ leads(p, s) /\ s.attempt.phase = 0 /\ needs_all(p, s) = NoneTorn
-  /\ \E i \in available(s) :
-       second_phase(p, [s EXCEPT !.attempt = [NoAttempt EXCEPT !.ballot = s.promised]], <<i>>, {})
+  /\ \E b \in batches(s) :
+       second_phase(p, [s EXCEPT !.attempt = [NoAttempt EXCEPT !.ballot = s.promised]], b, {})
   /\ UNCHANGED faults
 
 \* Which entries end the lives of members whose local transitions nobody has reported.
@@ -452,7 +457,7 @@ first_phase_over(p) ==
         ELSE IF Partial
              THEN \E b \in partial_batches(p, s, answers, answered, strangers) :
                     second_phase(p, after, b, {})
-             ELSE \E i \in available(s) : second_phase(p, after, <<i>>, {})
+             ELSE \E b \in batches(s) : second_phase(p, after, b, {})
   /\ UNCHANGED faults
 
 (* ---- consensus.py: the acceptor --------------------------------------------- *)

@@ -1,0 +1,239 @@
+"""Whether ``spec/agreement.tla`` allows what simulated teams of real replicas do.
+
+A team runs in a simulated network that loses, repeats, delays and reorders messages, and every step
+of its consensus is noted: what the robot did, and what it then knew. TLC plays the notes on the
+specification (``spec/trace.tla``): each step has to be one of its actions, with the same outcome.
+
+``python3 -m agreement.traces --traces N`` checks N of them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import random
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from unittest import mock
+
+from agreement.plans import make_plan
+from agreement.specification import FOLDER, JAR, why_not
+from agreement.world import ViolationError, Weather, World
+from gspn_framework_package.execution.agreement.consensus import Consensus
+from gspn_framework_package.execution.ledger import Item
+
+CHUNK = 400
+"""How many traces TLC plays in one run."""
+
+Trace = List[str]
+"""The steps, as TLA+ records."""
+
+
+class Refused(NamedTuple):
+    """A trace that the specification does not allow. ``step`` counts from 1; ``differs``: the
+    variable, its value in the specification and the replica's; () if no action can be taken."""
+
+    trace: int
+    step: int
+    text: str
+    differs: Tuple[str, ...]
+
+
+class Notes:
+    """The steps of a team, as they happen.
+
+    :param names: the robots, in the order of the plan.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.robots = {name: number for number, name in enumerate(names, 1)}
+        self.steps: Trace = []
+
+    def _item(self, item: Item) -> str:
+        robot, incarnation, number, _ = item.origin
+        by = self.robots[robot]
+        return (
+            '[entry |-> "Done", robot |-> %d, life |-> 0, forced |-> FALSE, by |-> %d, '
+            "incarnation |-> %d, number |-> %d, log |-> 1, told_at |-> 0, before |-> <<>>]"
+            % (by, by, incarnation, number)
+        )
+
+    def _batch(self, items: Sequence[Item]) -> str:
+        return "<<%s>>" % ", ".join(self._item(item) for item in items)
+
+    def _ballot(self, ballot: Any) -> str:
+        log = 1 if ballot.counter else 0
+        return "<<%d, %d, %d>>" % (ballot.counter, self.robots[ballot.robot], log)
+
+    def note(self, part: Consensus, what: str, ballot: Any, items: Sequence[Item]) -> None:
+        """Note a step that a replica has taken."""
+        state = part.state
+        if state.ledger.length == 0 or (what == "decide" and state.ledger.length == 1):
+            return  # the specification leaves the first slot out
+        accepted = "<<>>"
+        if state.accepted is not None:
+            held, batch = state.accepted
+            accepted = "<<%s, %s>>" % (self._ballot(held), self._batch(batch.items))
+        self.steps.append(
+            '[what |-> "%s", robot |-> %d, ballot |-> %s, batch |-> %s, length |-> %d, '
+            "promised |-> %s, accepted |-> %s]"
+            % (
+                what,
+                self.robots[part.config.name],
+                self._ballot(ballot),
+                self._batch(items),
+                state.ledger.length - 1,
+                self._ballot(state.promised),
+                accepted,
+            )
+        )
+
+
+@contextlib.contextmanager
+def noting(notes: Notes) -> Iterator[None]:
+    """While this runs, every step of a consensus is noted."""
+    promise, persist, next_slot = (
+        Consensus._promise,
+        Consensus._persist_accepted,
+        Consensus.next_slot,
+    )
+
+    def promising(self: Consensus, ballot: Any, torn: Any) -> None:
+        promise(self, ballot, torn)
+        mine = ballot.robot == self.config.name
+        notes.note(self, "propose" if mine else "promise", ballot, ())
+
+    def accepting(self: Consensus, slot: int) -> None:
+        persist(self, slot)
+        assert self.state.accepted is not None
+        ballot, batch = self.state.accepted
+        mine = ballot.robot == self.config.name
+        notes.note(self, "second_phase" if mine else "vote", ballot, batch.items)
+
+    def deciding(self: Consensus, keep_lead: bool, returned: Any) -> None:
+        next_slot(self, keep_lead, returned)
+        ((ballot, batch, _),) = self.state.recent.since(self.state.ledger.length - 1) or ()
+        notes.note(self, "decide", ballot, batch.items)
+
+    with mock.patch.multiple(
+        Consensus, _promise=promising, _persist_accepted=accepting, next_slot=deciding
+    ):
+        yield
+
+
+def traced(seed: int, robots: int, steps: int = 60) -> Trace:
+    """Run a team, and return its first steps."""
+    plan = make_plan(seed, robots, False, 0.0, 0.0, False)
+    source = random.Random("traces|%d" % seed)
+    bad = source.random() < 0.7
+    weather = Weather(loss=0.2, duplication=0.2, late=0.3) if bad else Weather()
+    world = World(plan, seed, weather)
+    notes = Notes([robot.name for robot in plan.robots])
+    with noting(notes), contextlib.suppress(ViolationError):
+        for node in world.nodes.values():
+            node.start()
+        _stop_sometimes(world, source)
+        world.run(6.0, lambda: len(notes.steps) >= steps)
+    return notes.steps[:steps]
+
+
+def _stop_sometimes(world: World, source: random.Random) -> None:
+    """Suspend a robot now and then, so that others take over."""
+    node = source.choice(list(world.nodes.values()))
+    until = world.now + source.uniform(0.05, 0.6)
+    node.suspended = True
+    world.at(until, node.resume)
+    pause = source.uniform(0.0, 0.4)
+    world.at(until + pause, lambda: _stop_sometimes(world, source))
+
+
+def check(traces: Sequence[Trace], robots: int) -> List[Refused]:
+    """Have TLC play the traces; returns those that it refuses."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        for name in ("agreement.tla", "trace.tla"):
+            (folder / name).write_text((FOLDER / name).read_text("utf-8"), "utf-8")
+        told = ",\n".join("<<\n%s\n>>" % ",\n".join(steps) for steps in traces)
+        (folder / "traces.tla").write_text(
+            "---- MODULE traces ----\nTraces == <<\n%s\n>>\n====\n" % told, "utf-8"
+        )
+        (folder / "traces.cfg").write_text(_configuration(robots), "utf-8")
+        done = subprocess.run(
+            ["java", "-XX:+UseSerialGC", "-Xss64m", "-cp", str(JAR), "tlc2.TLC", "-deadlock"]
+            + ["-workers", "1", "-config", "traces.cfg", "trace.tla"],
+            cwd=scratch,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            check=False,
+        )
+    text = done.stdout.decode("utf-8", "replace")
+    if "No error has been found" not in text:
+        raise RuntimeError("TLC ends without an answer:\n" + text[-5000:])
+    taken: Dict[int, int] = {}
+    for trace, step in re.findall(r'<<"took", (\d+), (\d+)>>', text):
+        taken[int(trace)] = max(taken.get(int(trace), 0), int(step))
+    refused = []
+    for number, steps in enumerate(traces, 1):
+        step = taken.get(number, 0)
+        if step < len(steps):
+            found = re.search(
+                r'<<\s*"differs",\s*%d,\s*%d,\s*"(\w+)",(.*?)>>\n(?=<<|\w)' % (number, step + 1),
+                text,
+                re.S,
+            )
+            differs = (found.group(1), " ".join(found.group(2).split())) if found else ()
+            refused.append(Refused(number, step + 1, steps[step], differs))
+    return refused
+
+
+def _configuration(robots: int) -> str:
+    constants = {
+        "Robots": str(robots),
+        "Wants": "{}",
+        "Spares": "{}",
+        "Begun": "TRUE",
+        "Partial": "FALSE",
+        "MaxLength": "1000",
+        "MaxCounter": "1000",
+        "MaxLogs": "1",
+    }
+    faults = "Restarts Losses Outages Evictions Assertions Moves Pauses GiveBacks"
+    constants.update(dict.fromkeys(faults.split(), "0"))
+    lines = ["SPECIFICATION TraceSpec", "CONSTANTS"]
+    lines += ["  %s = %s" % pair for pair in constants.items()]
+    lines += ["  batches <- TraceBatches", "  counters <- TraceCounters"]
+    lines += ["  wants <- TraceWants", "INVARIANTS", "  Agreement", "  PromisesAreKept"]
+    return "\n".join(lines) + "\n"
+
+
+def main(arguments: Optional[Sequence[str]] = None) -> int:
+    """Check; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="agreement.traces", description=__doc__.split("\n")[0])
+    parser.add_argument("--traces", type=int, default=200, metavar="N", help="how many")
+    parser.add_argument("--seed", type=int, default=0, metavar="S", help="the first seed")
+    args = parser.parse_args(arguments)
+    if why_not():
+        print("agreement.traces: " + why_not(), file=sys.stderr)
+        return 2
+    wrong = 0
+    for first in range(args.seed, args.seed + args.traces, CHUNK):
+        seeds = range(first, min(first + CHUNK, args.seed + args.traces))
+        for robots in (2, 3):
+            begin = time.monotonic()
+            traces = [traced(seed, robots) for seed in seeds if seed % 2 == robots % 2]
+            steps, refused = sum(map(len, traces)), check(traces, robots)
+            wrong += len(refused)
+            figures = (robots, len(traces), steps, len(refused), time.monotonic() - begin)
+            print("%d robots: %d traces, %d steps, %d refused, %.1f s" % figures, flush=True)
+            for one in refused[:10]:
+                print("refused: trace %d, step %d: %s\n  differs: %s" % one)
+    return int(wrong > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
