@@ -4,8 +4,14 @@ from __future__ import annotations
 
 from typing import Dict, Iterator, List, Sequence, Tuple
 
-from gspn_framework_package.analysis.proofs.checker import All, Atom, Formula, Some
-from gspn_framework_package.analysis.proofs.conditions import TRUE
+from gspn_framework_package.analysis.proofs.checker import (
+    TRUE,
+    All,
+    Atom,
+    Formula,
+    Some,
+    opposite,
+)
 from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.policy import PolicyRow, PolicyTable
