@@ -10,7 +10,6 @@ from gspn_framework_package.analysis.proofs.checker import (
     Atom,
     Formula,
     Some,
-    opposite,
 )
 from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Net
