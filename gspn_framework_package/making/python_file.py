@@ -90,7 +90,11 @@ def _read(path: str, name: str, ticks: bool) -> Dict[str, Any]:
         words = [sys.executable, "-m", _READER, path, name, "ticks" if ticks else "", out]
         reader = subprocess.Popen(
             words,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))},
+            env={
+                **os.environ,
+                "PYTHONPATH": os.pathsep.join(filter(None, paths)),
+                "PYTHONDONTWRITEBYTECODE": "1",  # nothing is written beside the file
+            },
             stdin=subprocess.DEVNULL,
             start_new_session=True,
         )
