@@ -23,7 +23,7 @@ from benchmarks.plans import INSTANT
 from gspn_framework_package.analysis.arrays import Floats
 from gspn_framework_package.analysis.decisions.aims import Aim, Objective
 from gspn_framework_package.analysis.decisions.automaton import WAIT
-from gspn_framework_package.analysis.decisions.problem import DecisionProblem, Team
+from gspn_framework_package.analysis.decisions.problem import DecisionProblem, SizedTeam
 from gspn_framework_package.analysis.decisions.solving.evaluation import evaluate_policy
 from gspn_framework_package.analysis.decisions.solving.optima import optimum
 from gspn_framework_package.model.action import Action, FunctionAction
@@ -152,7 +152,7 @@ def solve(uavs: int) -> Dict[str, Any]:
     }
 
 
-def _at_random(decisions: DecisionProblem, team: Team) -> Floats:
+def _at_random(decisions: DecisionProblem, team: SizedTeam) -> Floats:
     """The weights of the rows if each is as likely as the others of its state."""
     automaton = team.automaton
     allowed = decisions.allowed(team) & (automaton.choices != WAIT)

@@ -32,7 +32,7 @@ from gspn_framework_package.analysis.decisions.grouping import (
     group_random,
     present_choices,
 )
-from gspn_framework_package.analysis.decisions.problem import DecisionProblem, Team
+from gspn_framework_package.analysis.decisions.problem import DecisionProblem, SizedTeam
 from gspn_framework_package.analysis.decisions.report import ConstraintResult
 from gspn_framework_package.analysis.decisions.solving import (
     Evaluated,
@@ -66,7 +66,7 @@ class TeamSolution(NamedTuple):
     :ivar constraints: the values that the policy reaches for the constraints.
     """
 
-    team: Team
+    team: SizedTeam
     rewards: Optional[Rewards]
     goal: Optional[Booleans]
     lower: float
@@ -211,7 +211,7 @@ class _Solver:
     def __init__(self, problem: DecisionProblem, request: Request, watch: Watch) -> None:
         self._problem, self._request, self._watch = problem, request, watch
 
-    def solve(self, team: Team) -> TeamSolution:
+    def solve(self, team: SizedTeam) -> TeamSolution:
         """The solution for one team. :raises RefusedError: there is none."""
         request, problem = self._request, self._problem
         objective = request.objective
@@ -239,7 +239,7 @@ class _Solver:
             team, rewards, goal, solved.lower, solved.upper, grouped, solved.row_values, []
         )
 
-    def _constrained(self, team: Team, rewards: Rewards, allowed: Booleans) -> TeamSolution:
+    def _constrained(self, team: SizedTeam, rewards: Rewards, allowed: Booleans) -> TeamSolution:
         """The best policy that meets the constraints.
 
         Rows of a policy cannot randomise between going and waiting, nor between places, so they may
@@ -271,7 +271,7 @@ class _Solver:
         return best._replace(lower=lower, upper=upper)
 
     def _within(
-        self, team: Team, rewards: Rewards, allowed: Booleans, bounds: Sequence[float]
+        self, team: SizedTeam, rewards: Rewards, allowed: Booleans, bounds: Sequence[float]
     ) -> TeamSolution:
         """The best policy with these lower bounds instead of the requested ones."""
         request, objective = self._request, self._request.objective
@@ -313,7 +313,7 @@ class _Solver:
 
     def _robust(
         self,
-        team: Team,
+        team: SizedTeam,
         rewards: Optional[Rewards],
         goal: Optional[Booleans],
         allowed: Booleans,

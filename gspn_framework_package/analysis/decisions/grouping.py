@@ -31,7 +31,7 @@ from gspn_framework_package.analysis.decisions.automaton import WAIT, Rewards
 from gspn_framework_package.analysis.decisions.decision_net import Stage
 from gspn_framework_package.analysis.decisions.export import Decided
 from gspn_framework_package.analysis.decisions.playing import Answers
-from gspn_framework_package.analysis.decisions.problem import Team
+from gspn_framework_package.analysis.decisions.problem import SizedTeam
 from gspn_framework_package.analysis.decisions.solving.evaluation import Evaluated, evaluate_policy
 from gspn_framework_package.analysis.decisions.solving.graphs import reaching, rows_toward
 from gspn_framework_package.analysis.decisions.solving.layers import arrows_of
@@ -75,7 +75,7 @@ class Grouped(NamedTuple):
 
 
 def group(
-    team: Team,
+    team: SizedTeam,
     solved: Solved,
     rewards: Optional[Rewards],
     objective: Objective,
@@ -108,7 +108,7 @@ def group(
 
 
 def group_random(
-    team: Team,
+    team: SizedTeam,
     weights: Floats,
     rewards: Optional[Rewards],
     objective: Objective,
@@ -122,7 +122,7 @@ def group_random(
     return _Grouping(team, rewards, objective, goal, allowed, watch).drawn(weights)
 
 
-def present_choices(team: Team) -> Decided:
+def present_choices(team: SizedTeam) -> Decided:
     """The decision of the plan's present policy in each marking that needs one; if nothing decides,
     the first transition in file order that can fire."""
     table = _Table(team)
@@ -152,7 +152,7 @@ def present_choices(team: Team) -> Decided:
     )
 
 
-def _first_states(team: Team) -> Indices:
+def _first_states(team: SizedTeam) -> Indices:
     """For each distinct marking, the first state with it."""
     _, first = np.unique(team.marking_of, return_index=True)
     return first
@@ -189,7 +189,7 @@ class _Table:
         chance may take, and for each number their probabilities.
     """
 
-    def __init__(self, team: Team) -> None:
+    def __init__(self, team: SizedTeam) -> None:
         problem = team.problem
         net = problem.plan.net
         self.asking = [net.place_number(name) for name in problem.found]
@@ -232,7 +232,7 @@ class _Grouping:
 
     def __init__(
         self,
-        team: Team,
+        team: SizedTeam,
         rewards: Optional[Rewards],
         objective: Objective,
         goal: Optional[Booleans],

@@ -57,7 +57,7 @@ from gspn_framework_package.run_net.compiling import compile_plan
 
 
 @dataclass(frozen=True)
-class Team:
+class SizedTeam:
     """The decision problem of a team of one size.
 
     :ivar robots: its size.
@@ -181,7 +181,7 @@ class DecisionProblem:
         self._check_chosen(plan.policy, found)
         self.found = found
         self.safety: Optional[Safety] = self._judge(never) if never else None
-        self.teams: List[Team] = self._teams(own, sizes)
+        self.teams: List[SizedTeam] = self._teams(own, sizes)
 
     # -- assumptions ---------------------------------------------------------------------------
 
@@ -304,7 +304,7 @@ class DecisionProblem:
 
     # -- teams -------------------------------------------------------------------------------------
 
-    def _teams(self, own: int, sizes: Optional[Sequence[int]]) -> List[Team]:
+    def _teams(self, own: int, sizes: Optional[Sequence[int]]) -> List[SizedTeam]:
         space, built = self.space, self.built
         robots = np.zeros(len(space), dtype=np.int64)
         conserved = all(flow.taken == flow.put for flow in robot_flows(self.plan))
@@ -363,7 +363,7 @@ class DecisionProblem:
         state = self.space.find(marking)
         return int(np.flatnonzero(robots == size)[0]) if state is None else state
 
-    def _team(self, size: int, states: Booleans, start: int) -> Team:
+    def _team(self, size: int, states: Booleans, start: int) -> SizedTeam:
         built = self.built
         part, kept, rows = part_of(built.automaton, states, ((start, 1.0),))
         original = built.original[kept]
@@ -376,7 +376,7 @@ class DecisionProblem:
             distinct, marking_of = distinct[first], of[marking_of]
         stage = self.stages.stage[original]
         twin = kept >= len(self.space)
-        return Team(
+        return SizedTeam(
             size,
             part,
             distinct,
@@ -391,12 +391,12 @@ class DecisionProblem:
 
     # -- queries -----------------------------------------------------------------------------
 
-    def enabled(self, team: Team, t: int) -> Booleans:
+    def enabled(self, team: SizedTeam, t: int) -> Booleans:
         """Boolean array: which of the team's distinct markings enable transition number ``t`` of
         the plan's net."""
         return enabled_in(self.plan.net, t, team.distinct.T.__getitem__, len(team.distinct))
 
-    def rewards(self, team: Team, objective: Objective) -> Rewards:
+    def rewards(self, team: SizedTeam, objective: Objective) -> Rewards:
         """The rewards of a run in a team's automaton.
 
         :raises UsageError: the net has no such place or transition, or a reward is on a counter.
@@ -404,7 +404,7 @@ class DecisionProblem:
         """
         return self.earnings(team, objective.rewards)
 
-    def earnings(self, team: Team, rewards: Mapping[str, float]) -> Rewards:
+    def earnings(self, team: SizedTeam, rewards: Mapping[str, float]) -> Rewards:
         """The same for a map from places (per token and second) and transitions (per firing)."""
         net, automaton = self.plan.net, team.automaton
         per_state = np.zeros(len(team.distinct), dtype=np.float64)
@@ -426,7 +426,7 @@ class DecisionProblem:
         self._check_timeless(team, impulse)
         return Rewards(per_state[team.marking_of], impulse)
 
-    def _check_timeless(self, team: Team, impulse: Floats) -> None:
+    def _check_timeless(self, team: SizedTeam, impulse: Floats) -> None:
         """:raises RefusedError: a reward is earned on a cycle that takes no time."""
         automaton = team.automaton
         if not impulse.any():
@@ -451,13 +451,13 @@ class DecisionProblem:
                 hint="reward something that takes time",
             )
 
-    def rate_labels(self, team: Team) -> Indices:
+    def rate_labels(self, team: SizedTeam) -> Indices:
         """int array over the arcs of a team: the number of the plan's transition whose rate that of
         the arc is proportional to; -1: none, as where the plan gives a duration."""
         arcs = self.built.automaton.arcs
         return self.built.rated[flat_ranges(arcs[team.rows_in], arcs[team.rows_in + 1])]
 
-    def goal(self, team: Team, condition: str) -> Booleans:
+    def goal(self, team: SizedTeam, condition: str) -> Booleans:
         """The states of a team in which a condition holds.
 
         :raises ExpressionError: it cannot be parsed.
@@ -473,7 +473,7 @@ class DecisionProblem:
         holds = parsed.holds_in_columns(team.distinct.astype(np.int64).T, len(team.distinct))
         return np.asarray(holds[team.marking_of], dtype=bool)
 
-    def allowed(self, team: Team) -> Booleans:
+    def allowed(self, team: SizedTeam) -> Booleans:
         """The rows of a team that a policy may choose: forbidden conditions are taken into
         account."""
         if self.safety is None:
@@ -501,7 +501,7 @@ class DecisionProblem:
             self._plays = {policy: found}
         return found
 
-    def weights_of(self, team: Team, policy: Policy) -> Floats:
+    def weights_of(self, team: SizedTeam, policy: Policy) -> Floats:
         """The probability of each row under a policy, according to the plan's rules.
 
         :raises RefusedError: the rows do not determine what the policy does.
@@ -510,7 +510,7 @@ class DecisionProblem:
         return self._weights(team, self._play(policy))
 
     def weights_of_decided(
-        self, team: Team, kind: Indices, kinds: Sequence[Mapping[int, float]]
+        self, team: SizedTeam, kind: Indices, kinds: Sequence[Mapping[int, float]]
     ) -> Floats:
         """The probability of each row under decisions.
 
@@ -527,7 +527,7 @@ class DecisionProblem:
             team, play_answers(self.plan, answers, self.stages, not self._run_net.classical)
         )
 
-    def _weights(self, team: Team, played: Play) -> Floats:
+    def _weights(self, team: SizedTeam, played: Play) -> Floats:
         built, stages = self.built, self.stages
         weights = np.zeros(len(built.automaton.choices), dtype=np.float64)
         states = np.flatnonzero(np.diff(built.automaton.rows) == 1)
@@ -549,7 +549,9 @@ class DecisionProblem:
         self._check_heard(team, mine, unheard, played)
         return mine
 
-    def _check_heard(self, team: Team, weights: Floats, unheard: Booleans, played: Play) -> None:
+    def _check_heard(
+        self, team: SizedTeam, weights: Floats, unheard: Booleans, played: Play
+    ) -> None:
         """Check the policy. :raises RefusedError: it leads to a state in which its rows do not
         determine what it does."""
         wrong = unheard.copy()
@@ -602,7 +604,7 @@ class DecisionProblem:
 
     # -- for people --------------------------------------------------------------------------------
 
-    def named(self, team: Team, state: int) -> str:
+    def named(self, team: SizedTeam, state: int) -> str:
         """The marking of a state, for messages."""
         counts = team.distinct[team.marking_of[state]].tolist()
         return "(%s)" % ", ".join(
