@@ -68,9 +68,7 @@ class OrderVerb(NamedTuple):
         from gspn_framework_package.cli.team_client import team_client
 
         given = {field.name: _given(field, args) for field in self.order.fields}
-        values = self.order.values(given, SUBMITTED)
-        if self.order.entry is not None:
-            self.order.entry(**values)  # which checks the rest
+        values = self.order.checked(given, SUBMITTED)
         done, message = team_client(args).order(
             self.command, values.get("robot", ""), self.order.argument(values), args.run_name
         )

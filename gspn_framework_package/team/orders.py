@@ -108,6 +108,15 @@ class OrderKind(NamedTuple):
         """
         return {f.name: f.value(given.get(f.name), source, plan) for f in self.fields}
 
+    def checked(
+        self, given: Mapping[str, Any], source: str, plan: Optional[Plan] = None
+    ) -> Dict[str, Any]:
+        """As :meth:`values`, of which the log entry has been tried, too."""
+        values = self.values(given, source, plan)
+        if self.entry is not None:
+            self.entry(**values)
+        return values
+
     def read(self, robot: str, argument: str, here: str) -> Dict[str, Any]:
         """The values of the fields in a request.
 

@@ -106,10 +106,9 @@ class PageOrders:
         """What carries out an order with the fields that the page gives."""
 
         def run(fields: RequestFields) -> Dict[str, Any]:
-            values = kind.values(fields, PAGE, self._team.plan)
+            values = kind.checked(fields, PAGE, self._team.plan)
             if kind.entry is None:
                 return self._set_breakpoints(values["names"])
-            kind.entry(**values)  # which checks the rest
             return self._order((command, values.get("robot", ""), kind.argument(values)))
 
         return run
