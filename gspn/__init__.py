@@ -15,7 +15,7 @@ change with any version. Times are in seconds, rates in 1/s. Errors are those of
 :class:`GspnError`; the message says what is wrong, where, and what to do.
 
 Nothing is imported before it is used. Modules: ``examples``, ``results``, ``running``,
-``subjects``, ``tables``.
+``subjects``, ``tables``, ``teams``.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from gspn_framework_package import __version__
 if TYPE_CHECKING:
     from gspn.results import Picture, Result
     from gspn.subjects import Net, Plan, example, load, new
+    from gspn.teams import Team
     from gspn_framework_package.formats.example_plans import example_names
     from gspn_framework_package.model.errors import (
         GspnError,
@@ -45,6 +46,7 @@ __all__ = [
     "Plan",
     "RefusedError",
     "Result",
+    "Team",
     "__version__",
     "example",
     "example_names",
@@ -55,6 +57,7 @@ __all__ = [
 _HOMES = {
     "gspn.subjects": ("Net", "Plan", "example", "load", "new"),
     "gspn.results": ("Picture", "Result"),
+    "gspn.teams": ("Team",),
     "gspn_framework_package.formats.example_plans": ("example_names",),
     "gspn_framework_package.model.errors": (
         "GspnError",

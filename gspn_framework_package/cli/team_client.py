@@ -72,15 +72,19 @@ def access_of(args: argparse.Namespace, robot: str = "") -> TeamAccess:
     return TeamAccess(tuple(args.connect), tuple(getattr(args, "listen", ())), keys)
 
 
-def require_ros() -> None:
-    """Check that ROS is available. :raises UsageError: there is no ROS in this shell."""
+def require_ros(what: str = "this verb") -> None:
+    """Check that ROS is available.
+
+    :param what: what needs it.
+    :raises UsageError: there is no ROS in this shell.
+    """
     try:
         import rospy  # noqa: F401
 
         import gspn_framework_package.srv  # noqa: F401
     except ImportError as error:
         raise UsageError(
-            "this verb needs ROS (%s)" % error,
+            "%s needs ROS (%s)" % (what, error),
             hint="source the workspace's setup.bash; ROS_MASTER_URI is %s"
             % os.environ.get("ROS_MASTER_URI", "not set"),
         ) from None

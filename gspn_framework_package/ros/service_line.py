@@ -133,7 +133,7 @@ def client_on_ros(key: Optional[TeamKey] = None) -> OperatorClient:
     :param key: the key of the team, to give orders; None if it has none.
     :raises ExecutionError: no master answers, or it knows no execution node.
     """
-    nodes = _find_nodes()  # before rospy calls the master, which has no time limit
+    nodes = find_nodes()  # before rospy calls the master, which has no time limit
     if not rospy.core.is_initialized():
         rospy.init_node("gspn_operator", anonymous=True, disable_signals=True, disable_rosout=True)
     line = ServiceLine(CLIENT_TIME, SealedOrders(key))
@@ -160,8 +160,12 @@ def status_in(namespace: str) -> Optional[Dict[str, Any]]:
     return read_status(answer.message) if answer else None
 
 
-def _find_nodes() -> List[str]:
-    """The namespaces of the execution nodes that the master knows."""
+def find_nodes(within: str = "/") -> List[str]:
+    """The namespaces of the execution nodes that the master knows.
+
+    :param within: only those in this namespace.
+    :raises ExecutionError: no master answers, or it knows no such node.
+    """
     try:
         master: Any = master_proxy()
         _, _, (_, _, services) = master.getSystemState("/gspn_operator")
@@ -171,10 +175,16 @@ def _find_nodes() -> List[str]:
         ) from None
     names = {name for name, _ in services}
     spaces = [name.rpartition("/")[0] for name in names if name.endswith("/command")]
-    nodes = [space or "/" for space in spaces if space + "/get_place" in names]
+    top = within.rstrip("/")
+    nodes = [
+        space or "/"
+        for space in spaces
+        if space + "/get_place" in names and (space + "/").startswith(top + "/")
+    ]
     if not nodes:
         raise ExecutionError(
-            "no execution node is known to the ROS master at %s" % rosgraph.get_master_uri()
+            "no execution node%s is known to the ROS master at %s"
+            % (" in %s" % within if top else "", rosgraph.get_master_uri())
         )
     return sorted(nodes)
 

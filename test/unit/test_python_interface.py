@@ -16,6 +16,8 @@ from waiting import PATIENCE
 import gspn
 from gspn.results import Result
 from gspn.tables import SHOWN, html_table, text_table
+from gspn.teams import TeamFiring
+from gspn_framework_package.team.orders import ORDERS
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = Path(__file__).with_name("python_interface.txt")
@@ -31,21 +33,27 @@ SHUTTLE = (
 
 def public_interface():
     """Yield the public names with their signatures, and those of what they return."""
-    from gspn import results, subjects
+    from gspn import results, subjects, teams
 
     for name in sorted(set(gspn.__all__) - {"__version__"}):
         yield from declared(name, getattr(gspn, name))
-    for name, found in sorted({**vars(results), **vars(subjects)}.items()):
-        if isinstance(found, type) and issubclass(found, Result) and found is not Result:
+    for name, found in sorted({**vars(results), **vars(subjects), **vars(teams)}.items()):
+        if is_answer(found):
             attributes = re.findall(r":ivar (\w+):", found.__doc__ or "")
             yield "%s: %s" % (name, ", ".join(attributes)), found
+
+
+def is_answer(found):
+    if not isinstance(found, type):
+        return False
+    return issubclass(found, (Result, TeamFiring)) and found is not Result
 
 
 def declared(name, found):
     if not inspect.isclass(found):
         yield name + signature(found), found
         return
-    yield name + (signature(found.__init__) if found is gspn.Net else ""), found
+    yield name + (signature(found.__init__) if found in (gspn.Net, gspn.Team) else ""), found
     if issubclass(found, Exception):
         return
     for base in reversed(found.__mro__[:-1]):
@@ -85,7 +93,7 @@ def test_every_public_name_has_an_example_and_names_its_parameters():
     errors = {"GspnError", "InputError", "LimitError", "RefusedError"}
     for line, found in public_interface():
         name = re.match(r"[\w.]+", line).group()
-        if name in errors or name.endswith("Result") or name in ("Picture", "Plan"):
+        if name in errors or is_answer(found) or name in ("Picture", "Plan", "Result"):
             assert found.__doc__, name
             continue
         assert ">>> " in found.__doc__, name
@@ -98,10 +106,34 @@ def test_every_public_name_has_an_example_and_names_its_parameters():
 def test_the_page_names_all_of_them_and_nothing_else():
     text = (ROOT / "docs" / "python.md").read_text("utf-8")
     named = set(re.findall(r"^\| `(\.?\w+)", text, re.MULTILINE))
-    there = {re.match(r"[\w.]+", line).group() for line, _ in public_interface()}
-    there = {name for name in there if not name.endswith("Result") or name == "Result"}
+    there = {
+        re.match(r"[\w.]+", line).group()
+        for line, found in public_interface()
+        if not is_answer(found)
+    }
     assert named == {re.sub(r"^\w+(?=\.)", "", name) for name in there}
-    assert len(named) <= 45
+    assert len({name for name in named if name.lstrip(".") not in ORDERS}) <= 45
+
+
+def test_a_team_takes_the_orders_of_the_table():
+    for_people = {"breakpoints", "force_evict", "trust"}
+    verbs = {name for name, order in ORDERS.items() if order.example is not None}
+    methods = {name for name, _ in inspect.getmembers(gspn.Team, inspect.isfunction)}
+    assert methods & set(ORDERS) == verbs - for_people
+    for name in verbs - for_people - {"status"}:
+        there = dict(inspect.signature(getattr(gspn.Team, name)).parameters)
+        del there["self"]
+        fields = {field.name: field for field in ORDERS[name].fields}
+        assert list(there) == list(fields), name
+        for parameter in there.values():
+            required = parameter.default is inspect.Parameter.empty
+            assert required == fields[parameter.name].required, (name, parameter.name)
+
+
+def test_without_ros_a_team_is_an_input_error(monkeypatch):
+    monkeypatch.setitem(sys.modules, "rospy", None)
+    with pytest.raises(gspn.InputError, match=r"^gspn\.Team needs ROS"):
+        gspn.Team("/")
 
 
 def test_importing_it_imports_next_to_nothing():

@@ -5,9 +5,11 @@ import contextlib
 import io
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import rosgraph
 import rospy
@@ -18,8 +20,9 @@ sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
 from robots import ROOT, Robot, RobotTestCase, chain
 from waiting import PATIENCE, wait_for
 
+from gspn import RefusedError, Team
 from gspn_framework_package.cli.main import main
-from gspn_framework_package.msg import Marking, RobotActivity, TeamState
+from gspn_framework_package.msg import FiredTransition, Marking, RobotActivity, TeamState
 from gspn_framework_package.srv import GetPlace, GetState, SetPlace
 
 ACTIONS = """
@@ -201,6 +204,40 @@ class ServicesTest(RobotTestCase):
         self.assertIn(over, robot_2.said())
         status = robot_2.status()
         self.assertEqual((status["ended"], status["waits_for"]), ("stopped by the operator", ""))
+
+    def test_the_client_for_own_nodes(self):
+        robots = self.start()
+        text = (Path(ROOT) / "docs" / "python.md").read_text("utf-8")
+        code = re.search(r"## A running team\n.*?```python\n(.*?)```", text, re.DOTALL).group(1)
+        assert 'rospy.init_node("dispatcher")\n' in code
+        names = {}
+        exec(code.replace('rospy.init_node("dispatcher")\n', ""), names)
+        names["team"].close()
+
+        fired = []
+        with contextlib.closing(Team("/", run=robots.run)) as team:
+            self.assertEqual(sorted(team.status()), ["/robot_1", "/robot_2"])
+            team.on_fired(fired.append)
+            heard = rospy.Publisher("/fired_transitions", FiredTransition, queue_size=1)
+            wait_for(lambda: heard.get_num_connections() > 0, what="the subscriber")
+            heard.publish(run="another", transition="T1")
+            team.set_place("robot_2", "C")
+            wait_for(lambda: robots["robot_2"].state().place == "C", what="the move")
+            team.pause("robot_1", stop=True)
+            wait_for(lambda: robots["robot_1"].state().state == "Paused", what="the pause")
+            team.resume("robot_1")
+            wait_for(lambda: robots["robot_1"].state().state == "Doing", what="the end of it")
+            team.fire("arrives")
+            wait_for(lambda: fired, what="the firing")
+            self.assertEqual({(f.run, f.transition) for f in fired}, {(robots.run, "arrives")})
+            self.assertEqual(fired[-1].marking["stock"], 3)
+            with self.assertRaisesRegex(RefusedError, "order"):
+                team.submit("order")
+            self.assertEqual(team.tasks()["tasks"], [])
+        with contextlib.closing(Team("/robot_2", run=robots.run)) as team:
+            self.assertEqual(sorted(team.status()), ["/robot_2"])
+        with self.assertRaisesRegex(RefusedError, "no execution node in /robot is known"):
+            Team("/robot").status()
 
     def test_join_leave_and_both_kinds_of_eviction(self):
         team = self.start()
