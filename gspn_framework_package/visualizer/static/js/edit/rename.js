@@ -248,6 +248,15 @@ function changedNames(state, place, transition, said) {
       "tasks",
       with_(plan.tasks, {
         ...(plan.tasks.queues && { queues: mappedList(plan.tasks.queues, place) }),
+        ...(plan.tasks.order && { order: mapped(plan.tasks.order, place) }),
+        ...(plan.tasks.on_cancel && {
+          on_cancel: mapped(
+            plan.tasks.on_cancel,
+            place,
+            (name) => (name ? transition(name) : name),
+            (name) => said(`where a robot goes from '${name}' if its task is cancelled`),
+          ),
+        }),
         ...(plan.tasks.done && { done: mappedList(plan.tasks.done, transition) }),
       }),
     );

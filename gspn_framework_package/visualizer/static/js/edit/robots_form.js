@@ -4,8 +4,8 @@ import { h } from "../dom.js";
 import { NAMES } from "./names.js";
 import { group, schemaField } from "./schema_form.js";
 
-/** The robots of a plan as a list of {name, place, actions}; robots without a name in the plan follow from its tokens.
- */
+/** The robots of a plan as a list of {name, place, actions, capabilities}; robots without a name in the plan follow from
+ * its tokens. */
 export function robotsOf({ plan, net }) {
   if (Array.isArray(plan.robots)) return plan.robots;
   if (plan.robots) return Object.entries(plan.robots).map(([name, place]) => ({ name, place }));
@@ -20,9 +20,10 @@ export function robotsOf({ plan, net }) {
     );
 }
 
-/** The robots as written in the plan: an object if no robot has its own actions. */
+/** The robots as written in the plan: an object if no robot has its own actions or capabilities. */
 function written(robots, before) {
-  return Array.isArray(before) || robots.some(({ actions }) => actions)
+  return Array.isArray(before) ||
+    robots.some(({ actions, capabilities }) => actions || capabilities)
     ? robots
     : Object.fromEntries(robots.map(({ name, place }) => [name, place]));
 }
@@ -117,6 +118,24 @@ export function robotRow(form, lens, robot, i, places) {
         { "aria-label": `Initial place of ${robot.name}` },
       ),
       form.removal(at, `the robot ${robot.name}`, "plan.robots add"),
+    ),
+    form.labelled(
+      "Capabilities",
+      form.text(
+        at.at("capabilities", { drop: true }),
+        `the capabilities of the robot ${robot.name}`,
+        {
+          "aria-label": `Capabilities of ${robot.name}`,
+          late: true,
+          show: (words) => (words ?? []).join(", "),
+          parse: (text) => {
+            const words = text.split(",").map((word) => word.trim());
+            const told = [...new Set(words.filter(Boolean))];
+            return [told.length ? told : undefined];
+          },
+        },
+      ),
+      "Words by which a task may ask for such robots, separated by commas.",
     ),
     form.section(
       actions.key,
