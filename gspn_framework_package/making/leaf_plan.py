@@ -119,7 +119,10 @@ def plan_of_leaves(
     name_places(leaves, ends)
     start = begins.place()
     if start in ("", *ends):
-        raise InputError("the %s begins with no action" % description)
+        raise InputError(
+            "the %s begins with no action" % description,
+            hint="a robot starts in an action: put one before what ends at once",
+        )
     net = NetBuilder(name)
     for leaf in leaves:
         net.place(leaf.place, robots if leaf.place == start else 0)

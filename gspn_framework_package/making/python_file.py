@@ -70,10 +70,13 @@ def plan_of_found(path: str, found: Mapping[str, Any], robots: int) -> ImportedP
     :raises InputError: a plan cannot express it.
     """
     folder, base = os.path.split(os.path.abspath(path))
-    if "states" in found:
-        made = plan_of_ticks(base, found["name"], found["root"], found["states"], robots)
-    else:
-        made = _MAKERS[found["kind"]](base, found["name"], found["root"], robots)
+    try:
+        if "states" in found:
+            made = plan_of_ticks(base, found["name"], found["root"], found["states"], robots)
+        else:
+            made = _MAKERS[found["kind"]](base, found["name"], found["root"], robots)
+    except InputError as error:
+        raise error.located(file=path) from None
     texts = {
         os.path.join(ORIGINAL, name): read_bytes(os.path.join(folder, name)).decode()
         for name in {base, *found["files"]}

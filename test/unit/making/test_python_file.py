@@ -189,6 +189,19 @@ def _runs(process):
         return False
 
 
+def test_a_tree_without_actions_is_refused_with_its_file(tmp_path, capsys):
+    path = tmp_path / "tree.py"
+    path.write_text(
+        "import py_trees\n\ndef create_root():\n    return py_trees.behaviours.Success('done')\n"
+    )
+    assert main(["import", str(path), "-o", str(tmp_path / "plan"), "--run-file"]) == 2
+    said = capsys.readouterr().err
+    assert (
+        said.startswith("gspn: error: %s: the behaviour tree" % path) and "put one before" in said
+    )
+    assert not (tmp_path / "plan").exists()
+
+
 PATROL = """\
 import argparse
 import py_trees
