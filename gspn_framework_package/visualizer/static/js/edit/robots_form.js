@@ -4,8 +4,8 @@ import { h } from "../dom.js";
 import { NAMES } from "./names.js";
 import { group, schemaField } from "./schema_form.js";
 
-/** The robots of a plan as a list of {name, place, actions, capabilities}; robots without a name in the plan follow from
- * its tokens. */
+/** The robots of a plan as a list of {name, place, actions, capabilities}; robots without a name in the plan follow
+ * from its tokens. */
 export function robotsOf({ plan, net }) {
   if (Array.isArray(plan.robots)) return plan.robots;
   if (plan.robots) return Object.entries(plan.robots).map(([name, place]) => ({ name, place }));
