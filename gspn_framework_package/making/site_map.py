@@ -91,26 +91,38 @@ class SiteMap(NamedTuple):
     notes: Sequence[str]
     groups: Mapping[str, MapGroup] = {}
 
-    def edges_called(self, name: Any) -> List[Tuple[str, str]]:
-        """Return the edges that a name can mean: ``A_B``, or ``A -> B`` where that is several."""
+    def node(self, name: Any) -> str:
+        """Return the node of that name.
+
+        :raises InputError: the map has none; without a file.
+        """
+        if str(name) not in self.nodes:
+            raise InputError(
+                "there is no node '%s' in the map" % name,
+                hint="it has %s" % ", ".join(list(self.nodes)[:8]),
+            )
+        return str(name)
+
+    def edge(self, name: Any) -> Tuple[str, str]:
+        """Return the edge that is called ``A_B``, or ``A -> B`` where that is several.
+
+        :raises InputError: the map has none, or several; without a file.
+        """
         pairs = [(edge.source, edge.target) for edge in self.edges]
-        return [pair for pair in pairs if str(name) in ("_".join(pair), " -> ".join(pair))]
+        found = [pair for pair in pairs if str(name) in ("_".join(pair), " -> ".join(pair))]
+        if len(found) != 1:
+            raise InputError(
+                "there is %s edge '%s' in the map" % ("more than one" if found else "no", name),
+                hint="A_B is the edge between A and B, and so is 'A -> B'",
+            )
+        return found[0]
 
     def group(self, nodes: Sequence[Any], edges: Sequence[Any], capacity: int) -> MapGroup:
         """Return the group of these nodes and of the edges ``A_B``.
 
-        :raises LookupError: the map has no such node or edge, or several; in words.
+        :raises InputError: see :meth:`node` and :meth:`edge`.
         """
-        for name in map(str, nodes):
-            if name not in self.nodes:
-                raise LookupError("there is no node or edge '%s' in the map" % name)
-        known = {}
-        for name in map(str, edges):
-            known[name] = self.edges_called(name)
-            if len(known[name]) != 1:
-                what = "more than one" if known[name] else "no node or"
-                raise LookupError("there is %s edge '%s' in the map" % (what, name))
-        return MapGroup([*map(str, nodes)], [pair for (pair,) in known.values()], capacity)
+        return MapGroup([*map(self.node, nodes)], [*map(self.edge, edges)], capacity)
 
 
 def read_map(path: str) -> SiteMap:
@@ -581,10 +593,6 @@ def read_groups(
             )
         try:
             found[str(name)] = site.group(**given)
-        except LookupError as error:
-            raise document.error(
-                str(error),
-                steps,
-                "A_B is the edge between A and B, and so is 'A -> B'",
-            ) from None
+        except InputError as error:
+            raise document.error(error.message, steps, error.hint or "") from None
     return found

@@ -4,16 +4,30 @@ from __future__ import annotations
 
 import json
 import os
-from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+    TypeVar,
+)
 
 import jsonschema
 
 from gspn_framework_package.formats.json_file import KeyOrIndex
 from gspn_framework_package.formats.yaml_file import YamlDocument, read_yaml
 from gspn_framework_package.making.site_map import MapGroup, SiteMap, read_groups
+from gspn_framework_package.model.errors import InputError
 
 _SCHEMA = os.path.join(os.path.dirname(os.path.abspath(__file__)), "tasks.schema.json")
 """The JSON schema of the file."""
+
+_Found = TypeVar("_Found")
 
 TAG = "tag:"
 """Prefix of a tag, which selects nodes by tag instead of by name."""
@@ -167,19 +181,10 @@ class _Names:
         self._document = document
         self._site = site
 
-    def node(self, name: Any, where: List[KeyOrIndex]) -> str:
-        if str(name) not in self._site.nodes:
-            raise self._document.error(
-                "there is no node '%s' in the map" % name,
-                where,
-                "it has %s" % ", ".join(list(self._site.nodes)[:8]),
-            )
-        return str(name)
-
     def meant(self, name: Any, where: List[KeyOrIndex]) -> List[str]:
         """The node of that name; of ``tag:TAG`` those with the tag."""
         if not str(name).startswith(TAG) or name in self._site.nodes:
-            return [self.node(name, where)]
+            return [self._found(self._site.node, name, where)]
         tag = str(name)[len(TAG) :].strip()
         found = [node.name for node in self._site.nodes.values() if tag in node.tags]
         if not found:
@@ -201,12 +206,14 @@ class _Names:
     def edges(self, data: Mapping[Any, Any]) -> Dict[Tuple[str, str], Mapping[str, Any]]:
         found: Dict[Tuple[str, str], Mapping[str, Any]] = {}
         for name, given in data.items():
-            meant = self._site.edges_called(name)
-            if len(meant) != 1:
-                raise self._document.error(
-                    "%s edge '%s' in the map" % ("more than one" if meant else "there is no", name),
-                    ["edges", str(name)],
-                    "A_B is the edge from A to B, and so is 'A -> B'",
-                )
-            found[meant[0]] = found[meant[0][::-1]] = given
+            a, b = self._found(self._site.edge, name, ["edges", str(name)])
+            found[a, b] = found[b, a] = given
         return found
+
+    def _found(
+        self, look_up: Callable[[Any], _Found], name: Any, where: List[KeyOrIndex]
+    ) -> _Found:
+        try:
+            return look_up(name)
+        except InputError as error:
+            raise self._document.error(error.message, where, error.hint or "") from None

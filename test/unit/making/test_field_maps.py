@@ -459,8 +459,8 @@ def test_capacities_of_nodes_and_groups_hold(
     [
         (LANE, {"start": ["west"], "node_capacity": 1}, "2 robots start in west, where 1 may be"),
         (LANE, {"nodes": {"wst": {"capacity": 1}}}, "there is no node 'wst'"),
-        (LANE, {"groups": {"lane": {"edges": ["mid_mid"]}}}, "no node or edge 'mid_mid'"),
-        (LANE + "groups: {lane: {nodes: [wst]}}", {}, "no node or edge 'wst'"),
+        (LANE, {"groups": {"lane": {"edges": ["mid_mid"]}}}, "there is no edge 'mid_mid'"),
+        (LANE + "groups: {lane: {nodes: [wst]}}", {}, "there is no node 'wst'"),
         (LANE + "groups: {lane: {node: [west]}}", {}, "not a group of mutual exclusion"),
         (LANE + "groups: [west]", {}, "not a group of mutual exclusion"),
         (
