@@ -3,5 +3,5 @@
 Modules: ``behaviour_tree``, ``leaf_plan``, ``map_definitions``, ``plan_folder``, ``python_file``,
 ``python_machine``, ``python_tree``, ``restrictions``, ``site_drawing``, ``site_goals``,
 ``site_map``, ``site_names``, ``site_plan``, ``site_policy``, ``site_tasks``, ``site_team``,
-``templates``.
+``site_traffic``, ``templates``.
 """

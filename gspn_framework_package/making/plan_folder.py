@@ -37,12 +37,7 @@ def write_plan_folder(
     :raises GspnError: it is not a plan.
     :raises InputError: it cannot be written; nothing is left behind.
     """
-    if os.path.lexists(folder):
-        raise UsageError(
-            "the folder exists already",
-            file=folder,
-            hint="choose the name of a new folder for the plan",
-        )
+    refuse_existing_folder(folder)
     head = {key: plan[key] for key in ("plan", "description") if key in plan}
     whole: Dict[str, Any] = {**head, "net": NET_FILE}
     if policy is not None:
@@ -73,3 +68,13 @@ def write_plan_folder(
         shutil.rmtree(folder, ignore_errors=True)
         raise
     return list(contents)
+
+
+def refuse_existing_folder(folder: str) -> None:
+    """Refuse the folder of a new plan. :raises UsageError: it exists."""
+    if os.path.lexists(folder):
+        raise UsageError(
+            "the folder exists already",
+            file=folder,
+            hint="choose the name of a new folder for the plan",
+        )

@@ -10,10 +10,11 @@ takes its place in the next node before it drives there.
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, NamedTuple, Optional, Sequence
+from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.formats.json_file import json_text
-from gspn_framework_package.formats.plan_file import PLAN_FILE
+from gspn_framework_package.formats.net_json import net_to_json
+from gspn_framework_package.formats.plan_file import PLAN_FILE, plan_from_object
 from gspn_framework_package.making.plan_folder import NET_FILE, POLICY_FILE, write_plan_folder
 from gspn_framework_package.making.site_drawing import SiteDrawing
 from gspn_framework_package.making.site_goals import drive_action
@@ -25,6 +26,7 @@ from gspn_framework_package.making.site_team import SiteState, SiteTeam
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import InputError, UsageError
 from gspn_framework_package.model.net import Net, Point
+from gspn_framework_package.model.plan import Plan
 
 MOST_PLAN_NODES = 50_000
 """Maximum number of nodes of the net."""
@@ -69,7 +71,12 @@ class Drive(TakeTime):
 
 class SitePlan(NamedTuple):
     """A plan that was made from a map: ``net``, ``plan`` (without net and policy), the ``actions``
-    and ``events`` on ROS, ``policy``, and ``notes`` for the user."""
+    and ``events`` on ROS, ``policy``, and ``notes`` for the user.
+
+    :ivar limits: resource place -> the nodes and edges where it limits the robots.
+    :ivar moves: the pairs of nodes between which robots drive.
+    :ivar rests: node -> the places of robots that are there and do nothing.
+    """
 
     net: Net
     plan: Dict[str, Any]
@@ -77,6 +84,17 @@ class SitePlan(NamedTuple):
     ros_events: Dict[str, Any]
     policy: Optional[Dict[str, Any]]
     notes: List[str]
+    limits: Mapping[str, MapGroup]
+    moves: Sequence[Tuple[str, str]]
+    rests: Mapping[str, Sequence[str]]
+
+    def as_read(self) -> Plan:
+        """Return the plan as it will be read from its file.
+
+        :raises GspnError: it is not a plan.
+        """
+        parts = {} if self.policy is None else {"policy": self.policy}
+        return plan_from_object({**self.plan, **parts, "net": net_to_json(self.net)}, PLAN_FILE)
 
     def write(self, folder: str) -> List[str]:
         """Write it into a new folder. :returns: the names of the files."""
@@ -101,12 +119,17 @@ class SitePlan(NamedTuple):
 
 
 def build_site_plan(
-    map_path: str, tasks_path: Optional[str], robots: int, all_edges: bool = False
+    map_path: str,
+    tasks_path: Optional[str],
+    robots: int,
+    all_edges: bool = False,
+    groups: Optional[Mapping[str, MapGroup]] = None,
 ) -> SitePlan:
     """Build a plan from a map.
 
     :param tasks_path: the file of the tasks; None to let robots drive around.
     :param all_edges: keep the edges and tasks that the policy does not use.
+    :param groups: further groups of mutual exclusion, of nodes by their names in the plan.
     :raises InputError: a file cannot be read, or the two do not fit together.
     """
     site = read_map(map_path)
@@ -117,6 +140,7 @@ def build_site_plan(
         site, tasks, notes = with_clear_names(site, tasks)
     except InputError as error:
         raise error.located(file=tasks_path or map_path) from None
+    tasks = tasks._replace(groups={**tasks.groups, **(groups or {})})
     team = SiteTeam(site, tasks, map_path, all_edges)
     size = 4 * len(team.states)
     if size > MOST_PLAN_NODES:
@@ -150,13 +174,14 @@ class _Builder:
         self._durations: Dict[str, Any] = {}
         self._given_back: Dict[str, Any] = {}
         self._resources: List[str] = []
+        self._moves = [(state.node, state.to) for state in self._of("Drive")]
         self._zones = self._limited()
         """Resource place -> the location whose robots it limits."""
 
     def _limited(self) -> Dict[str, MapGroup]:
         tasks, found = self._tasks, {}
-        driven = {(state.node, state.to) for state in self._of("Drive")}
-        visited = dict.fromkeys([*(s.node for s in self._of("At")), *(to for _, to in driven)])
+        driven = set(self._moves)
+        visited = dict.fromkeys([*(s.node for s in self._of("At")), *(to for _, to in self._moves)])
         for pair, edge in self._team.edges.items():
             capacity = tasks.capacity if edge.capacity is None else edge.capacity
             capacity = tasks.edges.get(pair, {}).get("capacity", capacity)
@@ -278,8 +303,20 @@ class _Builder:
             "on_evict": self._given_back,
             "durations": self._durations,
         }
-        net = self._net.build()
-        return SitePlan(net, plan, self._ros, self._events, policy, self._team.notes)
+        rests: Dict[str, List[str]] = {}
+        for state in self._of("At"):
+            rests.setdefault(state.node, []).append(named("At", state.node, state.kind.suffix))
+        return SitePlan(
+            self._net.build(),
+            plan,
+            self._ros,
+            self._events,
+            policy,
+            self._team.notes,
+            self._zones,
+            self._moves,
+            rests,
+        )
 
     def _drive(self, edge: MapEdge, kind: RobotKind) -> None:
         a, b, suffix = edge.source, edge.target, kind.suffix
