@@ -13,7 +13,7 @@ from gspn_framework_package.analysis.proofs.questions import CAN_MOVE, DEAD, NEV
 from gspn_framework_package.analysis.simulation import simulate
 from gspn_framework_package.analysis.simulation.estimates import Estimate, throughput
 from gspn_framework_package.analysis.watch import Progress
-from gspn_framework_package.making.site_map import MapGroup
+from gspn_framework_package.making.site_elements import MapGroup
 from gspn_framework_package.making.site_plan import SitePlan
 from gspn_framework_package.making.site_traffic import WaitingCircle, waiting_circles
 from gspn_framework_package.model.errors import InputError, LimitError, RefusedError

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from typing import Mapping, Sequence
 
-from gspn_framework_package.making.site_map import MapNode, SiteMap
+from gspn_framework_package.making.site_elements import MapNode, SiteMap
 from gspn_framework_package.model.net import Point
 
 

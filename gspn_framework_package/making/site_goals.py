@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any, Dict, Mapping
 
-from gspn_framework_package.making.site_map import MapEdge, MapNode
+from gspn_framework_package.making.site_elements import MapEdge, MapNode
 from gspn_framework_package.model.outcome import Outcome
 
 

@@ -6,13 +6,15 @@ from __future__ import annotations
 import math
 import os
 import re
-from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple, Union
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.formats.json_file import KeyOrIndex
 from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.formats.yaml_file import YamlDocument, is_finite_number
 from gspn_framework_package.making.map_definitions import MapDefinitions
 from gspn_framework_package.making.restrictions import Restriction
+from gspn_framework_package.making.site_elements import MapEdge, MapNode, SiteMap
+from gspn_framework_package.making.site_groups import Located, read_doors, read_groups
 from gspn_framework_package.model.errors import ExpressionError, InputError
 
 MOST_MAP_NODES = 2000
@@ -25,104 +27,6 @@ _WORD_OF_GOAL = re.compile(r"\$\{?[A-Za-z_]|\+\{?(?:node|meta)\b")
 """Prefixes of words in a goal that are replaced."""
 
 _OLD_RESTRICTIONS = (("robot", "robot_type"), ("task", "task_name"))
-
-
-class MapNode(NamedTuple):
-    """A node: its position (m), the pose for goals, and the frame of the pose.
-
-    :ivar tags: the tags of the node in the map.
-    :ivar restriction: which robots may be there; None for all.
-    :ivar capacity: how many robots may be there, if the map specifies it.
-    :ivar said: the node's data in the map, for the words in goals.
-    """
-
-    name: str
-    x: float
-    y: float
-    pose: Mapping[str, Any]
-    frame: str = "map"
-    tags: Sequence[str] = ()
-    restriction: Optional[Restriction] = None
-    capacity: Optional[int] = None
-    said: Mapping[str, Any] = {}
-
-
-class MapEdge(NamedTuple):
-    """A directed edge.
-
-    :ivar length: in metres.
-    :ivar speed: in m/s, if the map specifies it.
-    :ivar seconds: how long it takes, if the map specifies it.
-    :ivar capacity: how many robots may be on it, if the map specifies it.
-    :ivar action: name of the action server that drives along it.
-    :ivar action_type: the type of its goals, as written in the map.
-    :ivar goal: its goal, with its words replaced.
-    :ivar restriction: which robots may drive there; None for all.
-    """
-
-    source: str
-    target: str
-    length: float
-    speed: Optional[float] = None
-    seconds: Optional[float] = None
-    capacity: Optional[int] = None
-    action: str = "move_base"
-    action_type: str = "move_base_msgs/MoveBaseGoal"
-    goal: Optional[Mapping[str, Any]] = None
-    restriction: Optional[Restriction] = None
-
-
-class MapGroup(NamedTuple):
-    """Nodes and edges (A, B), in both directions, where at most ``capacity`` robots may be in
-    total."""
-
-    nodes: Sequence[str]
-    edges: Sequence[Tuple[str, str]]
-    capacity: int
-
-
-class SiteMap(NamedTuple):
-    """A map: its ``nodes`` by name, its ``edges``, ``notes`` on how it was read, and ``groups`` of
-    mutual exclusion by name."""
-
-    name: str
-    nodes: Mapping[str, MapNode]
-    edges: Sequence[MapEdge]
-    notes: Sequence[str]
-    groups: Mapping[str, MapGroup] = {}
-
-    def node(self, name: Any) -> str:
-        """Return the node of that name.
-
-        :raises InputError: the map has none; without a file.
-        """
-        if str(name) not in self.nodes:
-            raise InputError(
-                "there is no node '%s' in the map" % name,
-                hint="it has %s" % ", ".join(list(self.nodes)[:8]),
-            )
-        return str(name)
-
-    def edge(self, name: Any) -> Tuple[str, str]:
-        """Return the edge that is called ``A_B``, or ``A -> B`` where that is several.
-
-        :raises InputError: the map has none, or several; without a file.
-        """
-        pairs = [(edge.source, edge.target) for edge in self.edges]
-        found = [pair for pair in pairs if str(name) in ("_".join(pair), " -> ".join(pair))]
-        if len(found) != 1:
-            raise InputError(
-                "there is %s edge '%s' in the map" % ("more than one" if found else "no", name),
-                hint="A_B is the edge between A and B, and so is 'A -> B'",
-            )
-        return found[0]
-
-    def group(self, nodes: Sequence[Any], edges: Sequence[Any], capacity: int) -> MapGroup:
-        """Return the group of these nodes and of the edges ``A_B``.
-
-        :raises InputError: see :meth:`node` and :meth:`edge`.
-        """
-        return MapGroup([*map(self.node, nodes)], [*map(self.edge, edges)], capacity)
 
 
 def read_map(path: str) -> SiteMap:
@@ -214,7 +118,7 @@ class _Lines:
 
 
 class _Reader:
-    def __init__(self, document: Union[YamlDocument, _Lines]) -> None:
+    def __init__(self, document: Located) -> None:
         self._document = document
         self._nodes: Dict[str, MapNode] = {}
         self._edges: List[Tuple[MapEdge, List[KeyOrIndex]]] = []
@@ -224,6 +128,7 @@ class _Reader:
         self._definitions = MapDefinitions({})
         self._untyped: Dict[str, int] = {}
         self._groups: Any = {}
+        self._doors: Any = {}
         self._itself = 0
         self._notes: List[str] = []
 
@@ -389,8 +294,8 @@ class _Reader:
             self._read_position(self._name(name, where), value, where)
         if not isinstance(edges, (list, dict)):
             raise self._document.error("the graph has no list of 'edges'", ["edges"])
-        self._note_unknown(data, {"name", "nodes", "edges", "groups"}, "the graph", [])
-        self._groups = data.get("groups") or {}
+        self._note_unknown(data, {"name", "nodes", "edges", "groups", "doors"}, "the graph", [])
+        self._groups, self._doors = data.get("groups") or {}, data.get("doors") or {}
         for step, edge in edges.items() if isinstance(edges, dict) else enumerate(edges):
             self._read_graph_edge(edge, ["edges", step])
 
@@ -534,7 +439,10 @@ class _Reader:
             )
         nodes = {key: node for key, node in self._nodes.items() if key not in self._closed}
         site = SiteMap(name, nodes, list(found.values()), self._notes)
-        return site._replace(groups=read_groups(self._groups, site, self._document))
+        return site._replace(
+            groups=read_groups(self._groups, site, self._document),
+            doors=read_doors(self._doors, site, self._document),
+        )
 
     def _filled(self, value: Any, origin: MapNode, node: MapNode, where: List[KeyOrIndex]) -> Any:
         """Replace the words of a goal: ``$node.PATH`` is a value of the node where the edge leads,
@@ -564,35 +472,3 @@ class _Reader:
                 % (meant.name, ", ".join(sorted({*map(str, given.get("node", {})), *known}))),
             )
         return found
-
-
-def read_groups(
-    data: Any, site: SiteMap, document: Union[YamlDocument, _Lines]
-) -> Dict[str, MapGroup]:
-    """Return the groups of mutual exclusion in the part ``groups`` of a file.
-
-    :raises InputError: the groups are invalid, or name something that is not in the map.
-    """
-    found = {}
-    for name, given in data.items() if isinstance(data, dict) else [("", data)]:
-        steps: List[KeyOrIndex] = ["groups", str(name)]
-        if isinstance(given, dict):
-            given = {"nodes": [], "edges": [], "capacity": 1, **given}
-        if (
-            not isinstance(given, dict)
-            or set(given) != {"nodes", "edges", "capacity"}
-            or not isinstance(given["nodes"], list)
-            or not isinstance(given["edges"], list)
-            or type(given["capacity"]) is not int
-            or given["capacity"] < 1
-        ):
-            raise document.error(
-                "it is not a group of mutual exclusion",
-                steps,
-                "groups: {crossing: {nodes: [A], edges: [A_B], capacity: 1}}",
-            )
-        try:
-            found[str(name)] = site.group(**given)
-        except InputError as error:
-            raise document.error(error.message, steps, error.hint or "") from None
-    return found

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from typing import Dict, Iterator, List, Mapping, Sequence, Tuple
 
-from gspn_framework_package.making.site_map import MapGroup, SiteMap
+from gspn_framework_package.making.site_elements import MapDoor, MapGroup, SiteMap
 from gspn_framework_package.making.site_tasks import SiteTasks
 from gspn_framework_package.model.errors import InputError
 
-_KEPT_WORDS = ("node", "dock", "group")
+_KEPT_WORDS = ("node", "dock", "group", "door")
 """Words after ``Free_``, which a node may be called as well."""
 
 
@@ -69,13 +69,24 @@ def _elements(site: SiteMap, tasks: SiteTasks) -> Iterator[Sequence[str]]:
         yield from (("Drive", edge.source, edge.target, kind) for edge in site.edges)
         yield from ((named(task, node), kind) for task, node in at)
         yield from (("Charge", node, kind) for node in tasks.docks)
+        for name, door in tasks.doors.items():
+            for word in ("Open", "Close"):
+                yield from ((word, name, *edge, kind) for edge in _both_ways(door.group.edges))
     yield from (("Stranded", robot) for robot in types if tasks.battery)
     yield from (("Free", edge.source, edge.target) for edge in site.edges)
     yield from (("Free_node", node) for node in site.nodes)
     yield from (("Free_dock", node) for node in tasks.docks)
     yield from (("Free_group", name) for name in tasks.groups)
+    yield from (("Free_door", name) for name in tasks.doors)
     for word in ("Due", "Fresh"):
         yield from ((word, task, node) for task, node in at)
+
+
+def _both_ways(edges: Sequence[Tuple[str, str]]) -> Iterator[Tuple[str, str]]:
+    for a, b in edges:
+        yield a, b
+        if (b, a) not in edges:
+            yield b, a
 
 
 def _renamed_map(site: SiteMap, new: Dict[str, str]) -> SiteMap:
@@ -83,17 +94,22 @@ def _renamed_map(site: SiteMap, new: Dict[str, str]) -> SiteMap:
         nodes={new[name]: node._replace(name=new[name]) for name, node in site.nodes.items()},
         edges=[e._replace(source=new[e.source], target=new[e.target]) for e in site.edges],
         groups=_renamed_groups(site.groups, new),
+        doors=_renamed_doors(site.doors, new),
     )
 
 
+def _renamed_group(group: MapGroup, new: Dict[str, str]) -> MapGroup:
+    edges = [(new[a], new[b]) for a, b in group.edges]
+    return MapGroup([new[node] for node in group.nodes], edges, group.capacity)
+
+
 def _renamed_groups(groups: Mapping[str, MapGroup], new: Dict[str, str]) -> Dict[str, MapGroup]:
+    return {name: _renamed_group(group, new) for name, group in groups.items()}
+
+
+def _renamed_doors(doors: Mapping[str, MapDoor], new: Dict[str, str]) -> Dict[str, MapDoor]:
     return {
-        name: MapGroup(
-            [new[node] for node in group.nodes],
-            [(new[a], new[b]) for a, b in group.edges],
-            group.capacity,
-        )
-        for name, group in groups.items()
+        name: door._replace(group=_renamed_group(door.group, new)) for name, door in doors.items()
     }
 
 
@@ -102,6 +118,8 @@ def _renamed_tasks(tasks: SiteTasks, new: Dict[str, str]) -> SiteTasks:
         start=[new[node] for node in tasks.start],
         nodes={new[node]: capacity for node, capacity in tasks.nodes.items()},
         groups=_renamed_groups(tasks.groups, new),
+        doors=_renamed_doors(tasks.doors, new),
+        parking=[new[node] for node in tasks.parking],
         edges={(new[a], new[b]): given for (a, b), given in tasks.edges.items()},
         tasks={
             name: task._replace(at=[new[node] for node in task.at])

@@ -4,8 +4,9 @@ A robot's place encodes its node or edge, what it does, and, if there are severa
 level of its battery, so that robots of one kind in the same node are exchangeable.
 ``Due_TASK_NODE`` has a token while a task is due, ``Free_A_B`` one for each robot that may still
 drive on an edge, and ``Free_dock_NODE`` one for each free place at a dock. ``Free_node_NODE`` and
-``Free_group_NAME`` limit how many robots are in a node, and in a group of nodes and edges; a robot
-takes its place in the next node before it drives there.
+``Free_group_NAME`` limit how many robots are in a node, and in a group of nodes and edges
+(``Free_door_NAME``: a door); a robot takes its place in the next node before it drives there, opens
+doors before that and closes them afterwards.
 """
 
 from __future__ import annotations
@@ -17,12 +18,13 @@ from gspn_framework_package.formats.net_json import net_to_json
 from gspn_framework_package.formats.plan_file import PLAN_FILE, plan_from_object
 from gspn_framework_package.making.plan_folder import NET_FILE, POLICY_FILE, write_plan_folder
 from gspn_framework_package.making.site_drawing import SiteDrawing
+from gspn_framework_package.making.site_elements import DoorAction, MapEdge, MapGroup
 from gspn_framework_package.making.site_goals import drive_action
-from gspn_framework_package.making.site_map import MapEdge, MapGroup, read_map
+from gspn_framework_package.making.site_map import read_map
 from gspn_framework_package.making.site_names import named, with_clear_names
 from gspn_framework_package.making.site_policy import RobotKind
 from gspn_framework_package.making.site_tasks import SiteTasks, read_tasks
-from gspn_framework_package.making.site_team import SiteState, SiteTeam
+from gspn_framework_package.making.site_team import SiteState, SiteTeam, some_names
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import InputError, UsageError
 from gspn_framework_package.model.net import Net, Point
@@ -175,8 +177,12 @@ class _Builder:
         self._given_back: Dict[str, Any] = {}
         self._resources: List[str] = []
         self._moves = [(state.node, state.to) for state in self._of("Drive")]
+        self._single: List[str] = []
+        """Nodes that hold one robot because of its size."""
         self._zones = self._limited()
         """Resource place -> the location whose robots it limits."""
+        self._arrivals: Dict[Tuple[str, str, str], List[str]] = {}
+        """Edge and suffix -> where robots come to at the end of the edge."""
 
     def _limited(self) -> Dict[str, MapGroup]:
         tasks, found = self._tasks, {}
@@ -194,10 +200,19 @@ class _Builder:
             if capacity is None and not (tasks.battery and node in self._team.docks):
                 capacity = tasks.node_capacity
             capacity = tasks.nodes.get(node, capacity)
+            if capacity is None and node not in tasks.nodes:
+                capacity = self._capacity_by_size(node)
             if capacity is not None:
                 found["Free_node_" + node] = MapGroup([node], (), capacity)
+        if self._single and tasks.diameter is not None:
+            self._team.notes.append(
+                "one robot at a time, because two of %g m have no room there: %s ('nodes' and "
+                "'node_capacity' say otherwise)" % (tasks.diameter, some_names(self._single))
+            )
         for name, group in tasks.groups.items():
             found["Free_group_" + name] = group
+        for name, door in tasks.doors.items():
+            found["Free_door_" + name] = door.group
         starts = list(self._robots.values())
         at = {named("At", node, kind.suffix): node for node, kind in self._team.start}
         for free, zone in found.items():
@@ -220,6 +235,18 @@ class _Builder:
                         hint="take it out of 'nodes', 'groups' and the map's capacities",
                     )
         return found
+
+    def _capacity_by_size(self, node: str) -> Optional[int]:
+        """How many robots a node holds for which nothing says it: a dock as many as can charge
+        there, others one if two have no room."""
+        if self._tasks.diameter is None:
+            return None
+        if node in self._team.docks:
+            return None if self._tasks.battery else self._tasks.docks[node]
+        if self._team.site.nodes[node].has_room_for_two(self._tasks.diameter):
+            return None
+        self._single.append(node)
+        return 1
 
     def _held(self, node: str, to: str = "") -> List[str]:
         """The resources that a robot holds in a node; with ``to``, those on the edge to that node,
@@ -325,11 +352,10 @@ class _Builder:
         drive, arrive = named("Drive", a, b, suffix), named("Arrive", a, b, suffix)
         drain = named("Drain", a, b, suffix)
         held = self._held(a, b)
-        free = [place for place in held if place not in self._held(b)]
         ros = drive_action(edge, self._team.site.nodes[b], arrive)
         self._act(drive, seconds, ros, 0, self._draw.along(a, b, suffix, 0.48))
         self._given(drive, held)
-        there = [named("At", b, suffix), *free]
+        there = self._arrival(a, b, suffix)
         at = self._draw.along(a, b, suffix, 0.7)
         self._ends(arrive, (1 - drained) / seconds, drive, there, at)
         if drained:
@@ -352,19 +378,67 @@ class _Builder:
         if lower is None:
             return [self._stranded(kind.type), *held]
         if topic is None:
-            there = self._held(edge.target)
-            free = [place for place in held if place not in there]
-            return [named("At", edge.target, lower.suffix), *free]
+            return self._arrival(edge.source, edge.target, lower.suffix)
         return [named("Drive", edge.source, edge.target, lower.suffix)]
 
     def _go(self, a: str, b: str, suffix: str) -> None:
         before, after = self._held(a), self._held(a, b)
+        first = named("Drive", a, b, suffix)
+        entered = self._doors("open", [free for free in after if free not in before])
+        for number, (name, action) in enumerate(reversed(entered)):
+            place, lanes = named("Open", name, a, b, suffix), 2.5 + 0.8 * number
+            self._act(
+                place, action.seconds, action.action, 0, self._draw.along(a, b, suffix, 0.25, lanes)
+            )
+            self._given(place, after)
+            opened, at = (
+                place.replace("Open", "Opened", 1),
+                self._draw.along(a, b, suffix, 0.35, lanes),
+            )
+            self._ends(opened, 1 / action.seconds, place, [first], at)
+            first = place
         self._net.immediate(
             named("Go", a, b, suffix),
             inputs=[named("At", a, suffix), *(free for free in after if free not in before)],
-            outputs=[named("Drive", a, b, suffix), *(free for free in before if free not in after)],
+            outputs=[first, *(free for free in before if free not in after)],
             position=self._draw.along(a, b, suffix, 0.25),
         )
+
+    def _doors(self, word: str, free: Sequence[str]) -> List[Tuple[str, DoorAction]]:
+        """The doors among resources that robots open, or close."""
+        return [
+            (name, action)
+            for name, door in self._tasks.doors.items()
+            if "Free_door_" + name in free
+            for action in [door.open if word == "open" else door.close]
+            if action is not None
+        ]
+
+    def _arrival(self, a: str, b: str, suffix: str) -> List[str]:
+        """The places of a robot at the end of an edge, with the resources that it returns: in the
+        node, if no door has to be closed first."""
+        if (a, b, suffix) in self._arrivals:
+            return self._arrivals[a, b, suffix]
+        there = self._held(b)
+        returned = [free for free in self._held(a, b) if free not in there]
+        first = [named("At", b, suffix)]
+        for number, (name, action) in enumerate(reversed(self._doors("close", returned))):
+            free, lanes = "Free_door_" + name, 2.5 + 0.8 * number
+            place = named("Close", name, a, b, suffix)
+            there.append(free)
+            returned.remove(free)
+            self._act(
+                place, action.seconds, action.action, 0, self._draw.along(a, b, suffix, 0.78, lanes)
+            )
+            self._given(place, there)
+            closed, at = (
+                place.replace("Close", "Closed", 1),
+                self._draw.along(a, b, suffix, 0.88, lanes),
+            )
+            self._ends(closed, 1 / action.seconds, place, [*first, free], at)
+            first = [place]
+        self._arrivals[a, b, suffix] = [*first, *returned]
+        return self._arrivals[a, b, suffix]
 
     def _stranded(self, robot: str) -> str:
         return named("Stranded", robot if len(self._team.kinds) > 1 else "")

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
 
-from gspn_framework_package.making.site_map import MapEdge, SiteMap
+from gspn_framework_package.making.site_elements import MapEdge, SiteMap
 
 
 class RobotKind(NamedTuple):
@@ -62,6 +62,7 @@ class SitePolicy:
     :param site: the map for that type.
     :param due: the tasks, and their nodes.
     :param docks: the nodes where they charge.
+    :param parking: the nodes where they wait while nothing is due; none: at the docks.
     :param kinds: its kinds, from the full battery to the lowest level.
     :param seconds: the time that an edge takes.
     """
@@ -71,13 +72,17 @@ class SitePolicy:
         site: SiteMap,
         due: Sequence[Tuple[str, str]],
         docks: Sequence[str],
+        parking: Sequence[str],
         kinds: Sequence[RobotKind],
         seconds: Callable[[MapEdge], float],
     ) -> None:
         self._due, self._kinds = due, kinds
         here = [at for _, at in due if at in site.nodes]
         self._ways = {node: ways_to(node, site, seconds) for node in here}
-        self._home = {dock: ways_to(dock, site, seconds) for dock in docks if dock in site.nodes}
+        self._docks, self._parking = (
+            {node: ways_to(node, site, seconds) for node in nodes if node in site.nodes}
+            for nodes in (docks, parking or docks)
+        )
         self._battery = len(kinds) > 1 or bool(kinds[0].level)
         self.stuck: Set[str] = set()
         """Nodes from which robots can reach neither a task nor a dock."""
@@ -85,16 +90,19 @@ class SitePolicy:
 
     def _rows(self, node: str, kind: RobotKind) -> List[SiteRow]:
         found: List[SiteRow] = []
-        near = [dock for dock in self._home if node in self._home[dock]]
-        dock = min(near, key=lambda d: self._home[d][node][0]) if near else None
+        charges = self._battery and kind != self._kinds[0]
+        lowest = self._battery and kind == self._kinds[-1]
+        home = self._docks if charges or lowest else self._parking
+        near = [place for place in home if node in home[place]]
+        place = min(near, key=lambda p: home[p][node][0]) if near else None
         go_home: Optional[SiteMove] = None
-        if dock is not None and dock != node:
-            go_home = SiteMove("Go", self._home[dock][node][1])
-        elif dock == node and self._battery and kind != self._kinds[0]:
+        if place is not None and place != node:
+            go_home = SiteMove("Go", home[place][node][1])
+        elif place == node and charges:
             go_home = SiteMove("Dock", node)
         cells: List[Any] = ["-"] * len(self._due)
         can = [k for k, (_, at) in enumerate(self._due) if node in self._ways.get(at, ())]
-        if go_home and (not can or (self._battery and kind == self._kinds[-1])):
+        if go_home and (not can or lowest):
             return [SiteRow([cell, *cells[1:]], node, kind, go_home) for cell in (0, 1)]
         for k in sorted(can, key=lambda k: self._ways[self._due[k][1]][node][0]):
             task, at = self._due[k]

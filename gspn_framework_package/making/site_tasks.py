@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
 from typing import (
     Any,
     Callable,
@@ -21,11 +19,9 @@ import jsonschema
 
 from gspn_framework_package.formats.json_file import KeyOrIndex
 from gspn_framework_package.formats.yaml_file import YamlDocument, read_yaml
-from gspn_framework_package.making.site_map import MapGroup, SiteMap, read_groups
+from gspn_framework_package.making.site_elements import MapDoor, MapGroup, SiteMap
+from gspn_framework_package.making.site_groups import read_doors, read_groups, tasks_schema
 from gspn_framework_package.model.errors import InputError
-
-_SCHEMA = os.path.join(os.path.dirname(os.path.abspath(__file__)), "tasks.schema.json")
-"""The JSON schema of the file."""
 
 _Found = TypeVar("_Found")
 
@@ -74,7 +70,10 @@ class SiteTasks(NamedTuple):
         directions; a capacity of None is any number.
     :ivar node_capacity: how many robots may be in a node by default; None for any number.
     :ivar nodes: node -> how many robots may be there; None for any number.
-    :ivar groups: the groups of mutual exclusion, including the map's.
+    :ivar diameter: of the robots (m): a node without room for two of them holds one by default;
+        None if it is not known.
+    :ivar groups: the groups of mutual exclusion, including the map's; likewise the ``doors``.
+    :ivar parking: the nodes where robots wait while nothing is due; empty: at the docks.
     :ivar battery: level, from full to low -> probability that it ends on an edge; empty: robots do
         not need to charge.
     :ivar docks: node -> how many robots can charge there at a time.
@@ -89,7 +88,10 @@ class SiteTasks(NamedTuple):
     capacity: Optional[int] = 1
     node_capacity: Optional[int] = None
     nodes: Mapping[str, Optional[int]] = {}
+    diameter: Optional[float] = None
     groups: Mapping[str, MapGroup] = {}
+    doors: Mapping[str, MapDoor] = {}
+    parking: Sequence[str] = ()
     edges: Mapping[Tuple[str, str], Mapping[str, Any]] = {}
     tasks: Mapping[str, SiteTask] = {}
     battery: Mapping[str, float] = {}
@@ -108,8 +110,7 @@ def read_tasks(path: str, site: SiteMap) -> SiteTasks:
     """
     document = read_yaml(path)
     data = document.data
-    with open(_SCHEMA, encoding="utf-8") as file:
-        validator = jsonschema.Draft7Validator(json.load(file))
+    validator = jsonschema.Draft7Validator(tasks_schema())
     fault = jsonschema.exceptions.best_match(validator.iter_errors(data))
     if fault is not None:
         raise document.error(fault.message, list(fault.absolute_path), "see docs/building_plans.md")
@@ -148,7 +149,7 @@ def read_tasks(path: str, site: SiteMap) -> SiteTasks:
                 ["battery_topic"],
             )
     simple = {key: data[key] for key in ("plan",) if key in data}
-    for key in ("speed", "shape", "charge", "stranded"):
+    for key in ("speed", "shape", "charge", "stranded", "diameter"):
         if key in data:
             simple[key] = float(data[key])
     for key in ("capacity", "node_capacity"):
@@ -164,6 +165,8 @@ def read_tasks(path: str, site: SiteMap) -> SiteTasks:
         edges=reader.edges(data.get("edges", {})),
         nodes=nodes,
         groups={**site.groups, **read_groups(data.get("groups", {}), site, document)},
+        doors={**site.doors, **read_doors(data.get("doors", {}), site, document)},
+        parking=reader.nodes(data.get("parking", []), ["parking"]),
         tasks=tasks,
         battery=battery,
         docks=docks,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Dict, List, NamedTuple, Optional, Sequence, Set, Union
 
-from gspn_framework_package.making.site_map import MapEdge, MapNode, SiteMap
+from gspn_framework_package.making.site_elements import MapEdge, MapNode, SiteMap
 from gspn_framework_package.making.site_names import named
 from gspn_framework_package.making.site_policy import RobotKind, SitePolicy, SiteRow
 from gspn_framework_package.making.site_tasks import SiteTasks
@@ -44,7 +44,8 @@ class SiteTeam:
             ]
             for robot in types
         }
-        nodes = list(tasks.start) or list(tasks.docks) or list(site.nodes)[:1]
+        nodes = next(filter(None, map(list, (tasks.start, tasks.parking, tasks.docks))), None)
+        nodes = nodes or list(site.nodes)[:1]
         # robot k starts in node k, and is of type k; both go round
         rounds = len(nodes) * len(types) // math.gcd(len(nodes), len(types))
         starts = [(nodes[k % len(nodes)], types[k % len(types)]) for k in range(rounds)]
@@ -138,8 +139,15 @@ class SiteTeam:
                 hint="add an edge, give a 'start' from where it can be reached, or look at its "
                 "restrictions",
             )
+        for name in [node for node in self._tasks.parking if node in lost]:
+            raise InputError(
+                "no robot can get from its start to node '%s', where robots are to park" % name,
+                file=self._path,
+                element=name,
+                hint="choose another node, or give a 'start' from where it can be reached",
+            )
         if lost:
-            self.notes.append("left out, because no robot can get there: %s" % _some(lost))
+            self.notes.append("left out, because no robot can get there: %s" % some_names(lost))
         return site._replace(
             nodes={name: node for name, node in site.nodes.items() if name in nodes},
             edges=[edge for edge in site.edges if (edge.source, edge.target) in edges],
@@ -155,11 +163,11 @@ class SiteTeam:
                 found = _reachable(part, [node])
                 lost = [other for other in wanted if other not in found]
                 if lost:
-                    traps.setdefault(_some(lost), []).append(node)
+                    traps.setdefault(some_names(lost), []).append(node)
         for lost_ones, nodes in traps.items():
             self.notes.append(
                 "there is no way back from %s to %s, where there is a task or a dock"
-                % (_some(nodes), lost_ones)
+                % (some_names(nodes), lost_ones)
             )
 
     def seconds(self, edge: MapEdge) -> float:
@@ -189,7 +197,8 @@ class SiteTeam:
         stuck: Set[str] = set()
         for robot, kinds in self.kinds.items():
             site = self._sites[robot]
-            policy = SitePolicy(site, self.due, self.docks, kinds, self.seconds)
+            parking = self._tasks.parking
+            policy = SitePolicy(site, self.due, self.docks, parking, kinds, self.seconds)
             brought = self.dock_of(robot) if self._tasks.battery else None
             found = policy.reached(
                 self._homes[robot], self._tasks.battery, brought, self._on_the_way
@@ -199,7 +208,7 @@ class SiteTeam:
         if stuck:
             self.notes.append(
                 "robots in these nodes get to no task and no dock any more: %s"
-                % _some(sorted(stuck))
+                % some_names(sorted(stuck))
             )
         return rows
 
@@ -249,7 +258,7 @@ class SiteTeam:
                 % (
                     len(self.edges) - len(driven),
                     len(self.edges),
-                    ", and the nodes " + _some(nodes) if nodes else "",
+                    ", and the nodes " + some_names(nodes) if nodes else "",
                 )
             )
 
@@ -273,5 +282,6 @@ def _of_type(robot: str) -> str:
     return " of type '%s'" % robot if robot else ""
 
 
-def _some(names: Sequence[str]) -> str:
+def some_names(names: Sequence[str]) -> str:
+    """Names for a note, abbreviated if there are many."""
     return ", ".join(names[:8]) + (" and %d more" % (len(names) - 8) if len(names) > 8 else "")

@@ -18,7 +18,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from gspn_framework_package.making.site_map import MapGroup
+from gspn_framework_package.making.site_elements import MapGroup
 
 
 class WaitingCircle(NamedTuple):

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats.plan_file import read_plan
-from gspn_framework_package.making.site_map import MapGroup
+from gspn_framework_package.making.site_elements import MapGroup
 from gspn_framework_package.making.site_traffic import waiting_circles
 from gspn_framework_package.testing import Scenario
 

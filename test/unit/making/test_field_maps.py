@@ -490,6 +490,7 @@ CLASHES = {
     "nodes: {dock: [0, 0], b: [1, 0], dock-: [2, 0]}\nedges: [[dock, b], [b, dock-]]\n": {
         "docks": {"b": 1}, "battery": {"full": 0.1}, "tasks": {"Look": {"at": ["dock"], "seconds": 1}}
     },
+    "nodes: {door: [0, 0], b: [1, 0]}\nedges: [[door, b]]\ndoors: {b: {edges: [door_b]}}\n": {},
     "nodes: {a_x: [0, 0], a-x: [1, 0], a: [2, 0], x_a: [3, 0]}\n"
     "edges: [[a_x, a], [a, x_a], [a_x, a-x]]\n": {},
 }  # fmt: skip
