@@ -92,6 +92,17 @@ AIMS = {
     "at_least": _texts("NAME>=X: in the long run a transition fires at least X times a second"),
 }
 
+ABOUT_ALL_MARKINGS = {
+    "never": _texts("conditions that never hold"),
+    "always": _texts("conditions that always hold"),
+    "apart": _texts("patterns of places, such as At_*, that never have two tokens each"),
+    "at_most": _texts("PATTERN=N: no place that matches ever has more than N tokens"),
+    "never_fires": _texts("transitions that never fire"),
+    "returns": _texts("conditions that can come to hold, from every marking"),
+    "ends": _flag("the plan can end, from every marking"),
+    "moves": _flag("every robot that is not at an end can move again, from every marking"),
+}
+
 
 class _Tool(NamedTuple):
     about: str
@@ -104,14 +115,17 @@ class _Tool(NamedTuple):
 TOOLS = {
     "list_plans": _Tool("List the plans, nets and recorded runs of the folder.", {}, ()),
     "check": _Tool(
-        "Check whether a plan may run: structure, dead markings, policy, functions. Findings may "
-        "have a firing sequence, which explain_witness plays.",
+        "Check whether a plan may run: structure, dead markings, policy, functions; decide what is "
+        "asked about all markings, also of a net. Findings and answers may have a firing sequence, "
+        "which explain_witness plays.",
         {
             "plan": _PLAN,
             "robots": _ROBOTS,
             "standalone": _flag(
                 "check the plan for agents, which transitions may create and destroy"
             ),
+            **ABOUT_ALL_MARKINGS,
+            "seconds": _number("maximum time for each question in seconds (default 10)"),
         },
         verb="check",
     ),

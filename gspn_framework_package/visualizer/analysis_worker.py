@@ -2,8 +2,8 @@
 
 Lines are ``{"progress": ...}``, ``{"part": keys of the report}`` and at the end, if it failed,
 ``{"error": message}``. The process limits its own processor time, memory and states; its parent
-kills it if it takes too long. The modules that compute policies, simulate and predict are imported
-on demand, since imports dominate the time of a small analysis.
+kills it if it takes too long. The modules that compute policies, simulate, predict and prove are
+imported on demand, since imports dominate the time of a small analysis.
 """
 
 from __future__ import annotations
@@ -20,9 +20,11 @@ import numpy as np
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.limits import Limits
+from gspn_framework_package.analysis.plan.structure import may_lose_robots
 from gspn_framework_package.analysis.plan.subnets import TITLES
 from gspn_framework_package.analysis.report import Questions, report
 from gspn_framework_package.analysis.report_measures import INFINITE
+from gspn_framework_package.analysis.watch import Progress
 from gspn_framework_package.formats.net_json import net_from_json
 from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_short_json
 from gspn_framework_package.model.errors import GspnError, UsageError
@@ -43,6 +45,10 @@ TIMES = 200
 
 PREDICTED = 400
 """Simulated runs for the prediction of a live run."""
+
+FOR_PROOFS = 0.8
+"""The part of the time in which a question is decided, so that there is time to say how far it
+came."""
 
 LIKELY = 40
 """How many of the most probable states are reported individually."""
@@ -86,6 +92,9 @@ def _analyse(request: Dict[str, Any]) -> None:
         return
     if "predict" in request:
         _say(part={"prediction": _predict(subject, request["predict"], progress)})
+        return
+    if "decide" in request:
+        _say(part={"decided": _decide(subject, request, progress)})
         return
     questions = _questions(request)
     analysis = Analysis(
@@ -175,6 +184,30 @@ def _predict(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str, 
         "paces": expected_paces(plan, sample),
         "growth": {name: list(growth(sample, values)) for name, values in counts},
     }
+
+
+def _decide(
+    subject: Union[Net, Plan], request: Dict[str, Any], progress: Progress
+) -> List[Dict[str, Any]]:
+    """Decide a question about all markings, also with losses of robots where these are possible."""
+    from gspn_framework_package.analysis.proofs.ladder import decide_for_team
+    from gspn_framework_package.analysis.proofs.questions import MarkingQuestion
+
+    asked = request["decide"]
+    if not isinstance(asked, dict):
+        raise UsageError("'decide' must be an object")
+    kind, about = asked.get("kind", ""), asked.get("about", "")
+    if not isinstance(kind, str) or not isinstance(about, str):
+        raise UsageError("'kind' and 'about' must be texts")
+    answers = decide_for_team(
+        subject,
+        MarkingQuestion(kind, about),
+        losses=isinstance(subject, Plan) and may_lose_robots(subject),
+        seconds=FOR_PROOFS * request["seconds"],
+        limit=request["limit"],
+        progress=progress,
+    )
+    return [{**answer.to_json(), "statement": answer.question.statement} for answer in answers]
 
 
 def _likely_states(analysis: Analysis) -> List[Dict[str, Any]]:

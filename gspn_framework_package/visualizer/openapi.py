@@ -252,7 +252,7 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ("POST", "/api/analysis"): ApiOperation(
         "analyse",
         "Start a computation for the present marking, or that after an event: an analysis, a "
-        "simulation, a sweep, or a policy.",
+        "question about all markings, a simulation, a sweep, or a policy.",
         ("id",),
         {"event?": _WHOLE},
         {"job": TEXT, "event": _WHOLE},

@@ -99,6 +99,27 @@ def test_the_run_net_of_a_plan_is_shown_with_what_its_nodes_stand_for(show_net, 
     page.wait_for_selector("#inspector:has-text('robots: Docked (done, wants Hand_Over)')")
 
 
+def test_questions_about_all_markings_are_decided(show_net, open_page):
+    plan = read_plan("plans/rendezvous")
+    place = plan.net.places[0].name
+    page = open_page(show_net(plan.net, plan).address)
+    page.keyboard.press("3")
+    page.click("summary:has-text('Is it so in all markings?')")
+    assert page.is_disabled("#an-decide")
+    page.select_option("#an-kind", "moves")
+    page.click("button:has-text('Decide')")
+    analysed(page)
+    page.wait_for_selector("#answers .badge.good:has-text('proven')")
+    page.select_option("#an-kind", "always")
+    page.fill("#an-decide", "'%s' >= 1" % place)
+    page.click("button:has-text('Decide')")
+    analysed(page)
+    page.wait_for_selector("#answers .badge.bad:has-text('violated')")
+    page.wait_for_selector("#answers .asked:has-text(\"always holds: '%s' >= 1\")" % place)
+    page.click("#answers button:has-text('Play')")
+    page.wait_for_function("() => window.gspn.model.board.marking[0] === 0")
+
+
 def test_questions_are_answered(show_net, open_page):
     page = open_page(show_net(flawed()).address)
     page.keyboard.press("3")

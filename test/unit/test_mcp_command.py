@@ -62,6 +62,14 @@ def test_plans_are_listed_and_checked(tools):
     assert found["steps"] and found["check"] == "dead_after_loss"
 
 
+def test_questions_about_all_markings_are_decided(tools):
+    report = call(tools, "check", plan="tokens", never=["p3 >= 1"], moves=True, seconds=5)
+    reached, moves = report["answers"]
+    assert reached["verdict"] == "violated" and moves["verdict"] == "proven"
+    played = call(tools, "explain_witness", plan="tokens", transitions=reached["sequence"])
+    assert played["sequences"][0]["stopped_by"] == ""
+
+
 def test_numbers_are_those_of_the_command_line(tools):
     analysis = call(tools, "analyse", plan="tokens", reach="p3 >= 1")
     assert analysis["places"] == 7 and "p3 >= 1" in json.dumps(analysis)

@@ -158,6 +158,20 @@ def test_a_sweep_that_makes_no_sense_is_refused(refusal, sweep, message):
     assert message in refusal(sweep=sweep)
 
 
+@pytest.mark.parametrize(
+    ("decide", "message"),
+    [
+        ([], "must be an object"),
+        ({"kind": 3}, "must be texts"),
+        ({"kind": "ever"}, "no question 'ever'"),
+        ({"kind": "never"}, "was expected"),
+        ({"kind": "moves"}, "a net has no policy"),
+    ],
+)
+def test_a_question_about_all_markings_that_makes_no_sense_is_refused(refusal, decide, message):
+    assert message in refusal(decide=decide)
+
+
 @pytest.mark.parametrize("rewards", [{"a": "x"}, {"nothing": 1}, [1]])
 def test_rewards_that_make_no_sense_are_refused(refusal, rewards):
     error = refusal(timing=True, rewards=rewards)

@@ -14,6 +14,7 @@ const FIELDS = {
   seconds: ["Max. seconds", { type: "number", min: 1, max: 120, value: 60 }],
   reach: ["Reachable", { placeholder: "p1 >= 1 and p2 == 0, or deadlock" }],
   cover: ["Coverable", { placeholder: "p1 = 2, p2 = 1" }],
+  decide: ["About", {}],
   passage: ["Condition", { placeholder: "p2 >= 1" }],
   until: ["Until (s)", time(20)],
   points: ["Points", { type: "number", min: 2, max: 200, value: 60 }],
@@ -28,6 +29,24 @@ const FIELDS = {
   "sweep-vary": ["Vary", { placeholder: "robots=1..5" }],
   "sweep-also": ["and", { placeholder: "rate:t1=0.5,1,2" }],
   "sweep-measure": ["Measure", { placeholder: "t1, p1 (default: throughputs)" }],
+};
+
+/** The questions about all markings: kind -> [label, what it is about]. */
+const QUESTIONS = {
+  dead: ["no marking is dead", ""],
+  never: ["never holds", "p1 >= 1 and p2 == 0"],
+  always: ["always holds", "p1 + p2 == 1"],
+  returns: ["can hold again, from every marking", "p1 >= 1"],
+  apart: ["no two tokens in", "At_*"],
+  at_most: ["no more tokens than", "At_*=2"],
+  fires: ["never fires", "t1"],
+};
+
+/** Those about plans alone. */
+const QUESTIONS_OF_PLANS = {
+  moves: ["no robot waits for ever", ""],
+  no_row: ["the policy has a row for each decision", ""],
+  ends: ["the plan can end, from every marking", ""],
 };
 
 /** "a, b" as ["a", "b"]. */
@@ -52,6 +71,7 @@ function namedNumbers(text, whole) {
 /** The question of a request in readable words. */
 function questionText(request) {
   const { reach, cover, mean_time_to: condition, at, settling, rewards, simulate, sweep } = request;
+  const { decide } = request;
   const numbers = (named) =>
     Object.entries(named)
       .map(([name, value]) => `${name} = ${value}`)
@@ -63,6 +83,10 @@ function questionText(request) {
   if (settling !== undefined) return `within ${number(settling)}`;
   if (rewards) return numbers(rewards);
   if (sweep) return sweep.vary.join(", ");
+  if (decide)
+    return [{ ...QUESTIONS, ...QUESTIONS_OF_PLANS }[decide.kind][0], decide.about]
+      .filter(Boolean)
+      .join(": ");
   if (simulate) {
     const length = simulate.time ? ` of ${number(simulate.time)} s` : "";
     const end = simulate.until ? `, until ${simulate.until}` : "";
@@ -111,6 +135,18 @@ export class AnalysisPanel extends EventTarget {
     this.policy.addEventListener("change", () => {
       this.reading.disabled = !this.policy.checked; // a net has no run
     });
+    const kinds = { ...QUESTIONS, ...(plan && QUESTIONS_OF_PLANS) };
+    this.kind = menu(
+      Object.entries(kinds).map(([kind, [label]]) => [kind, label]),
+      { id: "an-kind" },
+    );
+    const { decide } = this.inputs;
+    const ofKind = () => {
+      decide.placeholder = kinds[this.kind.value][1];
+      decide.disabled = !decide.placeholder;
+    };
+    this.kind.addEventListener("change", ofKind);
+    ofKind();
     const rows = (...names) => names.map((name) => labelled(FIELDS[name][0], this.inputs[name]));
     const form = (...names) => h("div.form", rows(...names));
     const ask = (label, request, attributes = {}) =>
@@ -150,6 +186,13 @@ export class AnalysisPanel extends EventTarget {
         ask("Reachable?", () => ({ reach: [this.value("reach")] })),
         form("cover"),
         ask("Coverable?", () => ({ cover: [namedNumbers(this.value("cover"), true)] })),
+      ),
+      question(
+        "Is it so in all markings?",
+        false,
+        says("Proven, also where the markings are too many to visit, or refuted by firings."),
+        h("div.form", labelled("Question", this.kind), rows("decide")),
+        ask("Decide", () => ({ decide: this.decision() })),
       ),
       question(
         "How long until?",
@@ -209,6 +252,13 @@ export class AnalysisPanel extends EventTarget {
     const end = Math.max(0, Number(this.value("until")) || 0),
       count = Math.max(2, Math.min(200, Math.round(Number(this.value("points"))) || 2));
     return Array.from({ length: count }, (_, i) => (end * i) / (count - 1));
+  }
+
+  decision() {
+    return {
+      kind: this.kind.value,
+      about: this.inputs.decide.disabled ? "" : this.value("decide"),
+    };
   }
 
   simulation() {

@@ -1,6 +1,6 @@
 // The answers to the questions of an analysis, in words, tables and plots.
 
-import { behaviour, cover, reach, structure } from "./net_answers.js";
+import { behaviour, cover, decided, reach, structure } from "./net_answers.js";
 import { sweepAnswer } from "./sweep.js";
 import { passage, settling, simulated, steadyState, transient } from "./time_answers.js";
 
@@ -9,6 +9,7 @@ import { passage, settling, simulated, steadyState, transient } from "./time_ans
 export function answersTo(show, result, request, body) {
   if (request.simulate) return [simulated(show, result.simulation)].filter(Boolean);
   if (request.sweep) return [sweepAnswer(show, result.sweep)].filter(Boolean);
+  if (request.decide) return [decided(show, result.decided)];
   const parts = [];
   if (request.reach) parts.push(reach(show, result));
   if (request.cover) parts.push(cover(show, result));

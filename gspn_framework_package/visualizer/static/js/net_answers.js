@@ -223,3 +223,22 @@ export function cover(show, result) {
     ]),
   );
 }
+
+const VERDICTS = { proven: "good", violated: "bad" };
+
+/** The answer about all markings: one if it is the same when robots are lost, else two. */
+export function decided(show, answers) {
+  return show.section(
+    "In all markings?",
+    answers.map(({ verdict, statement, losses, steps, marking, sequence }) => [
+      h(
+        "p",
+        h("span", { class: `badge ${VERDICTS[verdict] ?? "warn"}`, text: verdict }),
+        ` ${statement}`,
+      ),
+      show.marking(marking),
+      sequence?.length > 0 && (losses ? show.wayText(sequence) : show.way(sequence)),
+      h("p.muted", steps.map(({ name, outcome }) => `${name}: ${outcome}`).join("; ")),
+    ]),
+  );
+}
