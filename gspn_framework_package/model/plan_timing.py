@@ -19,7 +19,6 @@ times are memoryless. :attr:`PlanTiming.splits` names the places where the two d
 
 from __future__ import annotations
 
-import copy
 import math
 from typing import Dict, List, NamedTuple, Sequence, Tuple
 
@@ -94,22 +93,6 @@ class PlanTiming:
         """The timing of ``robot`` in action place number ``place``, with the robot's own action if
         it has one."""
         return self._idle[place] if self._is_idle(place, robot) else self.places[place]
-
-    def simplified(self) -> PlanTiming:
-        """The same times, but every action succeeds, and every duration is exponential with its
-        mean."""
-        found = copy.copy(self)
-        found.places = {
-            p: timing._replace(
-                duration=Duration.exponential(timing.duration.mean)
-                if timing.duration.mean > 0
-                else timing.duration,
-                failure=0.0,
-                timeout=math.inf,
-            )
-            for p, timing in self.places.items()
-        }
-        return found
 
     @property
     def splits(self) -> Dict[str, str]:

@@ -35,12 +35,14 @@ class End(NamedTuple):
     :ivar request: the transition that it asks for, or ``POLICY``; None: nothing, because the
         attempt failed or nothing comes next.
     :ivar stops: whether this stops the team.
+    :ivar failed: whether the attempt failed.
     """
 
     request: Optional[int]
     column: int
     probability: float
     stops: bool = False
+    failed: bool = False
 
 
 class TimedAttempt(NamedTuple):

@@ -73,6 +73,7 @@ def compile_plan(
     timing: Optional[PlanTiming],
     *,
     phases: bool = True,
+    exponential: bool = False,
     left_out: Optional[Sequence[str]] = None,
 ) -> RunNet:
     """Compile a plan.
@@ -81,17 +82,25 @@ def compile_plan(
     :param timing: its durations and outcomes; None: the classical reading.
     :param phases: whether durations get their phases. If not, each is exponential with its mean:
         the same markings are reached in far fewer states.
+    :param exponential: whether each duration is exponential with its mean, so that no place is
+        split for its duration alone; whether an attempt fails still follows from the true one.
     :param left_out: resource places that nothing reads; None: all of them.
     """
     counters = plan.counters if left_out is None else tuple(left_out)
-    return _Compiler(plan, timing, phases, counters).run_net()
+    return _Compiler(plan, timing, phases, exponential, counters).run_net()
 
 
 class _Compiler:
     def __init__(
-        self, plan: Plan, timing: Optional[PlanTiming], phases: bool, counters: Tuple[str, ...]
+        self,
+        plan: Plan,
+        timing: Optional[PlanTiming],
+        phases: bool,
+        exponential: bool,
+        counters: Tuple[str, ...],
     ) -> None:
         self._plan = plan
+        self._exponential = exponential
         self._counters = counters
         self._net = net = _net_of(plan, counters)
         self._acts = [p.name not in plan.resource_places for p in net.places]
@@ -128,7 +137,7 @@ class _Compiler:
         self._racing: List[Racing] = []
         self._parts: List[Tuple[int, int]] = []
         self._stopped = -1
-        self._lay_out(phases)
+        self._lay_out(phases and not exponential)
         self._splits: Dict[str, str] = {}
         for p in self._columns:
             name = net.places[p].name
@@ -221,7 +230,7 @@ class _Compiler:
         timing = self._timing[p]
         return (
             timing.duration.mean > 0
-            and _is_exponential(timing.duration)
+            and (self._exponential or _is_exponential(timing.duration))
             and bool(timing.outcomes)
             and not self._failures[p]
             and all(t != POLICY for t, v in timing.outcomes if v > 0)
@@ -334,15 +343,15 @@ class _Compiler:
         if not outcomes:
             done = [End(None, inactive if inactive >= 0 else stuck, 1.0)]
         if fallback >= 0:
-            failed = [End(fallback, named[fallback], 1.0)]
+            failed = [End(fallback, named[fallback], 1.0, failed=True)]
         else:
-            failed = [End(None, stuck, 1.0, bool(tries) and self._stops(p))]
+            failed = [End(None, stuck, 1.0, bool(tries) and self._stops(p), failed=True)]
         ends: Dict[int, Tuple[End, ...]] = {}
         again = [*entries[1:], *(entries[-1:] if repeats else ())]
         for columns, following_entry in itertools.zip_longest(exits, again):
             fails = failed
             if following_entry is not None:
-                fails = [End(None, column, v) for column, v in following_entry]
+                fails = [End(None, column, v, failed=True) for column, v in following_entry]
             here = [end._replace(probability=end.probability * (1.0 - failure)) for end in done]
             here += [end._replace(probability=end.probability * failure) for end in fails]
             ends.update(dict.fromkeys(columns, tuple(end for end in here if end.probability > 0)))
@@ -405,7 +414,7 @@ class _Compiler:
         """The duration of an attempt in place ``p``, or one of its mean if it needs many more
         phases than the ``plain`` duration of the action."""
         most = max(plain if plain <= MOST_PHASES else 1, FEW_PHASES)
-        if number_of_phases(duration) <= most:
+        if self._exponential or number_of_phases(duration) <= most:
             return duration
         self._assumptions.append(
             "an attempt in %s (%s) is taken as Erlang with %d phases, of the same mean"

@@ -111,8 +111,8 @@ class Case:
 
     @cached_property
     def exponential_run(self) -> Numbers:
-        """The same with exponential durations, where no action fails."""
-        return self.numbers(RunSteps(exponential(self.plan)))
+        """The same with exponential durations."""
+        return self.numbers(RunSteps(exponential(self.plan), failing=True))
 
     @cached_property
     def net_run(self) -> Numbers:
@@ -194,7 +194,7 @@ def optimum_and_run(case: Case) -> List[str]:
     value = report.teams[0].value
     if not report.exact or value is None:
         return []
-    worth = case.numbers(RunSteps(exponential(report.plan))).fired[rate][number]
+    worth = case.numbers(RunSteps(exponential(report.plan), failing=True)).fired[rate][number]
     found = []
     if abs(value - worth) > 1e-9 * max(1.0, worth):
         found.append(

@@ -278,8 +278,8 @@ _TABLE: Sequence[Any] = (
         ["spontaneous_first"],
         (
             building.Stages.spontaneous,
-            "rate_or_weight(net, t, self.space.store, self.sources[arcs[mine]])",
-            "1.0",
+            "weights = self.weights(arcs)",
+            "weights = np.ones(len(arcs))",
         ),
     ),
     (
@@ -287,7 +287,7 @@ _TABLE: Sequence[Any] = (
         "optimiser",
         "of robots: all alike",
         ["policy_rows", "inhibitors"],
-        (playing.Answers.of, "(t, net.transitions[t].number)", "(t, 1.0)"),
+        (playing._Player._drawn, "[net.transitions[t].number]", "[1.0]"),
     ),
     (
         "weights",
@@ -295,9 +295,9 @@ _TABLE: Sequence[Any] = (
         "of chance: all alike",
         ["policy_rows", "anything"],
         (
-            building.Stages.draws,
-            "[w for _, w in group.members]",
-            "[1.0 for _ in group.members]",
+            building.Stages._weights_of,
+            "np.full(len(arcs), member.weight)",
+            "np.ones(len(arcs))",
         ),
     ),
     (
@@ -468,7 +468,7 @@ _TABLE: Sequence[Any] = (
         "optimiser",
         "weights decide",
         ["policy_rows"],
-        (playing.Answers.of, "if not self._plan.strict:", "if True:"),
+        (playing._Player._drawn, "() if self._plan.strict else", "() if False else"),
     ),
     (
         "strict",
@@ -941,12 +941,12 @@ _TABLE: Sequence[Any] = (
     (
         "actions without time",
         "optimiser",
-        "done on arrival",
+        "the others move after them",
         ["timeless_actions", "held_draws"],
         (
-            D._lay_out,
-            "not takes_time and (bool(columns.arriving) or len(outcomes) > 1)",
-            "not takes_time and len(outcomes) > 1",
+            building.Stages.__init__,
+            "(Stage.ARRIVED, Stage.ASKED, Stage.DECIDED, Stage.NAMED,",
+            "(Stage.ASKED, Stage.DECIDED, Stage.NAMED, Stage.ARRIVED,",
         ),
     ),
     (
@@ -1012,7 +1012,7 @@ _TABLE: Sequence[Any] = (
         "optimiser",
         "they reach robots that are doing only",
         ["events"],
-        (D._add_transition, "parts.pieces or (", "parts.pieces[:1] or ("),
+        (D._add_transition, "in self._pieces(p)", "in self._pieces(p)[:1]"),
     ),
     (
         "events",
@@ -1132,6 +1132,38 @@ _TABLE: Sequence[Any] = (
         (N.has_ended, "any(robots) and", "False and"),
     ),
     # -- failures
+    (
+        "failures",
+        "optimiser",
+        "there are none",
+        ["failures"],
+        (
+            D._add_ends,
+            "end.probability * share",
+            "(1e-12 if end.failed else end.probability) * share",
+        ),
+    ),
+    (
+        "failures",
+        "optimiser",
+        "they never stop the team",
+        ["failures"],
+        (D._end, "if stops else", "if False else"),
+    ),
+    (
+        "partners",
+        "optimiser",
+        "those who named and those who ask are equally likely",
+        ["who_stays", "mixed_partners"],
+        (building.Stages.ways, "count *= comb(free, taken)", "pass"),
+    ),
+    (
+        "partners",
+        "optimiser",
+        "who asks is among those left to choose from",
+        ["who_stays", "mixed_partners"],
+        (building.Stages.ways, "astype(np.int64) - here", "astype(np.int64)"),
+    ),
     (
         "failures",
         "chain",

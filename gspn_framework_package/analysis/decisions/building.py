@@ -7,16 +7,23 @@ from __future__ import annotations
 from typing import List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
+from scipy.special import comb
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
 from gspn_framework_package.analysis.decisions.automaton import CHANCE, WAIT, Automaton
-from gspn_framework_package.analysis.decisions.decision_net import DecisionNet, Group, Stage
+from gspn_framework_package.analysis.decisions.decision_net import (
+    DecisionNet,
+    Group,
+    GroupMember,
+    Stage,
+)
 from gspn_framework_package.analysis.graph import flat_ranges
 from gspn_framework_package.analysis.state_space.rated_graph import firing_rate, rate_or_weight
 from gspn_framework_package.analysis.state_space.space import StateSpace
+from gspn_framework_package.model.marking_function import MarkingFunction
 
 OVER = 7
-"""The stage of a state in which ``until`` holds."""
+"""The stage of a state in which the run has ended."""
 
 NO_TIME = int(Stage.TIMED)
 """States with a stage below this are vanishing."""
@@ -27,7 +34,7 @@ class Stages:
 
     :param net: the decision net.
     :param space: its markings, explored untimed.
-    :param over: boolean array: ``until`` holds.
+    :param over: boolean array: the run has ended.
 
     :ivar sources: the state that each arc leaves.
     :ivar kinds: the kind of each arc.
@@ -85,17 +92,13 @@ class Stages:
 
     def spontaneous(self) -> Floats:
         """The probability of each arc in the spontaneous stage: top priority, by weight."""
-        net = self.net.net
         chances = np.zeros(len(self.labels), dtype=np.float64)
         arcs = np.flatnonzero(self.kinds == Stage.SPONTANEOUS)
         if not len(arcs):
             return chances
         levels = self.priorities[self.labels[arcs]]
         arcs = arcs[levels == self.highest(arcs, levels)[self.sources[arcs]]]
-        weights = np.zeros(len(arcs))
-        for t in np.unique(self.labels[arcs]).tolist():
-            mine = self.labels[arcs] == t
-            weights[mine] = rate_or_weight(net, t, self.space.store, self.sources[arcs[mine]])
+        weights = self.weights(arcs)
         total = np.bincount(self.sources[arcs], weights=weights, minlength=len(self))
         # without weights the first in file order fires
         states, first = np.unique(self.sources[arcs], return_index=True)
@@ -130,16 +133,57 @@ class Stages:
 
     def draws(self, group: Group) -> Tuple[Indices, Floats]:
         """The arcs that a robot of a group may ask for, by the weights, with probabilities."""
-        parts = [self.arcs_of(t) for t, _ in group.members]
-        arcs = np.concatenate(parts)
-        weights = np.repeat([w for _, w in group.members], [len(part) for part in parts])
-        if len(parts) == 1:
+        arcs, shares = self.ways([group])
+        if len(group.members) == 1:
             return arcs, np.ones(len(arcs))
+        weights = shares * np.concatenate([self._weights_of(member) for member in group.members])
         levels = self.priorities[self.labels[arcs]]
         top = levels == self.highest(arcs, levels)[self.sources[arcs]]
         arcs, weights = arcs[top], weights[top]
         total = np.bincount(self.sources[arcs], weights=weights, minlength=len(self))
         return arcs, weights / total[self.sources[arcs]]
+
+    def _weights_of(self, member: GroupMember) -> Floats:
+        """The weight of each arc of a member."""
+        arcs = self.arcs_of(member.transition)
+        if isinstance(member.weight, MarkingFunction):
+            return self.weights(arcs)
+        return np.full(len(arcs), member.weight)
+
+    def weights(self, arcs: Indices) -> Floats:
+        """The weight that the net gives the transition of each of ``arcs``."""
+        weights = np.zeros(len(arcs))
+        labels = self.labels[arcs]
+        for t in np.unique(labels).tolist():
+            mine = labels == t
+            weights[mine] = rate_or_weight(
+                self.net.net, t, self.space.store, self.sources[arcs[mine]]
+            )
+        return weights
+
+    def ways(self, groups: Sequence[Group]) -> Tuple[Indices, Floats]:
+        """The arcs that a robot of these groups, which are in the same place, may ask for. Those of
+        one state and one transition of the plan differ in who moves with it: the probability of
+        each."""
+        members = [member for group in groups for member in group.members]
+        parts = [self.arcs_of(member.transition) for member in members]
+        arcs = np.concatenate(parts)
+        if not any(member.partners for member in members):
+            return arcs, np.ones(len(arcs))
+        counts = []
+        for member, mine in zip(members, parts):
+            states = self.sources[mine]
+            count = np.ones(len(mine))
+            for place, here, taken in member.partners:
+                free = self.space.column(place, states).astype(np.int64) - here
+                count *= comb(free, taken)
+            counts.append(count)
+        values = np.concatenate(counts)
+        origins = np.array(self.net.origins)[self.labels[arcs]]
+        keys = self.sources[arcs].astype(np.int64) * (int(origins.max(initial=0)) + 1) + origins
+        _, of = np.unique(keys, return_inverse=True)
+        of = of.reshape(-1)
+        return arcs, values / np.bincount(of, weights=values)[of]
 
 
 class Pieces:
@@ -345,12 +389,12 @@ def build_automaton(stages: Stages, may_wait: Booleans, waits: Booleans) -> Buil
 
 def _told_apart(stages: Stages) -> Booleans:
     """The states in which chance decides but the present policy may do otherwise: robots that are
-    left to the weights, or to the policy, are among those that move."""
+    left to the weights, or to the policy, are among those that move or choose who moves."""
     found = stages.has(np.flatnonzero(stages.kinds == Stage.DECIDED))
     for group in stages.net.groups:
-        if group.step is Stage.NAMED and not group.named:
-            for t, _ in group.members:
-                found[stages.sources[stages.arcs_of(t)]] = True
+        for member in group.members:
+            if member.partners or (group.step is Stage.NAMED and not group.named):
+                found[stages.sources[stages.arcs_of(member.transition)]] = True
     return found & (stages.stage == Stage.NAMED)
 
 

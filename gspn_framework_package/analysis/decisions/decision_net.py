@@ -4,14 +4,16 @@ visits all states of the problem.
 In the classical reading it is the plan's net itself. As the plan runs, an action place whose robots
 must be distinguished keeps its place, with all robots in it, as inhibitor arcs, capacities,
 conditions and policies see them. It gets a further place for each thing that such a robot can be up
-to: doing its action, done and naming a transition, done and asking the policy. Every duration is
-taken as exponential with its mean. A transition of the plan may then occur several times, with
-robots from different ones of these places. An event that interrupts takes robots from each of them.
+to, which are columns of the run net: at an attempt at its action, done and naming a transition,
+done and asking the policy, stuck. Every attempt is taken as exponential with its mean. A transition
+of the plan may then occur several times, with robots from different ones of these places. An event
+that interrupts takes robots from each of them.
 """
 
 from __future__ import annotations
 
 import enum
+import itertools
 from typing import Dict, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
 
 import numpy as np
@@ -45,21 +47,35 @@ class Stage(enum.IntEnum):
     """The loss of a robot."""
 
 
+class GroupMember(NamedTuple):
+    """A transition of the decision net that robots of a group may ask for.
+
+    :ivar transition: its number.
+    :ivar weight: by chance, a robot asks for one of those that can fire, by these weights.
+    :ivar partners: where the transition of the plan occurs several times for the group: the robots
+      that it takes besides the one that asks, as triples (place, robots that are not free although
+      they are there, robots that it takes). Each robot that is free is equally likely.
+    """
+
+    transition: int
+    weight: Value
+    partners: Tuple[Tuple[int, int, int], ...]
+
+
 class Group(NamedTuple):
     """Robots that ask alike.
 
     :ivar step: the kind of the steps that they ask for.
     :ivar place: the place of the decision net that counts them.
     :ivar at: the number of their place in the plan's net.
-    :ivar members: transitions of the decision net with weights; by chance, a robot asks for one of
-      those that can fire. Where the policy decides, the weights are those of the net.
-    :ivar named: whether the action named the only member, so that no policy is asked.
+    :ivar members: what they may ask for.
+    :ivar named: whether the action named it, so that no policy is asked.
     """
 
     step: Stage
     place: int
     at: int
-    members: Tuple[Tuple[int, float], ...]
+    members: Tuple[GroupMember, ...]
     named: bool
 
 
@@ -67,25 +83,26 @@ class _Parts(NamedTuple):
     """The places for the robots of one action place. A place that is not split is its own part.
 
     :ivar entry: where a robot that enters begins.
-    :ivar doing: it is doing its action; empty: that takes no time.
-    :ivar asking: it is done and asks the policy.
-    :ivar named: transition -> it is done and named that one.
-    :ivar arriving: it has an action that takes no time, and has yet to name what comes next.
+    :ivar of: column of the run net -> the place that counts its robots.
     :ivar racing: (transition, rate) of exponential transitions that race.
     """
 
     entry: str
-    doing: str = ""
-    asking: str = ""
-    named: Mapping[int, str] = {}
-    arriving: str = ""
+    of: Mapping[int, str] = {}
     racing: Mapping[int, float] = {}
 
-    @property
-    def pieces(self) -> Tuple[str, ...]:
-        """All of them, if the place is split."""
-        found = (self.doing, self.arriving, self.asking, *self.named.values())
-        return tuple(part for part in found if part)
+
+_Taken = Tuple[Tuple[str, int, bool], ...]
+"""Robots that a transition takes from one place: (part, how many, whether they named it)."""
+
+NO_COLUMN = -1
+"""In place of a column: a run net has none for that."""
+
+_Partners = Tuple[Tuple[str, int, int], ...]
+"""As :attr:`GroupMember.partners`, with names of places."""
+
+_UNDRAWN = -2
+"""In place of a column: robots that are done on arrival, by chance in one of several columns."""
 
 
 class DecisionNet:
@@ -122,14 +139,6 @@ class DecisionNet:
         self._deciders = deciders
         self._source = run_net.net
         self._acts = run_net.acts
-        self._source.require_numbers(
-            "the computation of a policy",
-            [
-                t
-                for t, transition in enumerate(self._source.transitions)
-                if not transition.timed and t not in run_net.spontaneous
-            ],
-        )
         self._events = run_net.interrupted
         self._races = {race.transition for race in run_net.races}
         self._racing = {racing.column: dict(racing.rates) for racing in run_net.racing}
@@ -143,9 +152,10 @@ class DecisionNet:
         self.steps: List[Stage] = []
         self.origins: List[int] = []
         self.askers: List[Tuple[int, ...]] = []
-        self._groups: Dict[Tuple[Stage, str], List[Tuple[int, float]]] = {}
+        self._groups: Dict[Tuple[Stage, str], List[Tuple[int, Value, _Partners]]] = {}
         self._at: Dict[str, int] = {}
         self.resting: List[str] = []
+        self._stopped = self._place("(stopped)", -1) if run_net.stopped >= 0 else ""
         self._split: Dict[int, _Parts] = {
             p: self._lay_out(p) for p in range(len(self._source.places)) if self._acts[p]
         }
@@ -154,30 +164,51 @@ class DecisionNet:
         for p, parts in self._split.items():
             self._add_ends(p, parts)
         if losses:
-            for p, parts in self._split.items():
-                self._add_losses(p, parts)
+            for p in self._split:
+                self._add_losses(p)
+        if self._stopped:
+            self._arcs += [Arc(self._stopped, t.name, 1, True) for t in self._transitions]
         self.net = Net(self._places, self._transitions, self._arcs, self._source.name)
         number = self.net.place_index
-        named = {part for parts in self._split.values() for part in parts.named.values()}
+        named = {
+            self._split[p].of[column]
+            for p, columns in run_net.columns.items()
+            for column in columns.named.values()
+            if column in self._split[p].of
+        }
         self.groups = [
-            Group(step, number[place], self._at[place], tuple(members), place in named)
+            Group(
+                step,
+                number[place],
+                self._at[place],
+                tuple(
+                    GroupMember(t, weight, tuple((number[q], here, k) for q, here, k in partners))
+                    for t, weight, partners in members
+                ),
+                place in named,
+            )
             for (step, place), members in self._groups.items()
         ]
         self.place_of = [number.get(place.name, -1) for place in plan.net.places]
 
-    def busy(self, space: StateSpace) -> Booleans:
-        """Boolean array: the states of a space of this net in which a robot is not Inactive, or
-        there is none; the run has ended in the others."""
-        robots = np.zeros(len(space), dtype=np.int64)
-        inactive = np.zeros(len(space), dtype=np.int64)
-        for p, parts in self._split.items():
-            here = space.column(self.net.place_index[self._source.places[p].name])
-            robots += here
-            if not self._source.consumers[p]:
-                inactive += here
-                if parts.doing:
-                    inactive -= space.column(self.net.place_index[parts.doing])
-        return (inactive < robots) | (robots == 0)
+    def ended(self, space: StateSpace) -> Booleans:
+        """Boolean array: the states of a space of this net in which a failure has stopped the team,
+        or all robots are Inactive."""
+        ended = np.zeros(len(space), dtype=bool)
+        if self._stopped:
+            ended |= space.column(self.net.place_index[self._stopped]) > 0
+        if self._run_net.inactive:
+            robots = np.zeros(len(space), dtype=np.int64)
+            inactive = np.zeros(len(space), dtype=np.int64)
+            for p, parts in self._split.items():
+                name = self._source.places[p].name
+                robots += space.column(self.net.place_index[name])
+                if not self._source.consumers[p]:
+                    columns = self._run_net.columns.get(p)
+                    part = name if columns is None else parts.of[columns.inactive]
+                    inactive += space.column(self.net.place_index[part])
+            ended |= (inactive == robots) & (robots > 0)
+        return ended
 
     def start(self, marking: Sequence[int]) -> Tuple[int, ...]:
         """The state in which a run with this initial marking (of the plan's net) begins."""
@@ -200,34 +231,42 @@ class DecisionNet:
         columns = self._run_net.columns.get(p)
         if columns is None:
             return _Parts(name, racing=self._racing.get(self._run_net.whole[p], {}))
-        if not columns.outcomes and columns.inactive < 0:
-            return _Parts(name)
-        outcomes = [t for t, _ in columns.outcomes]
-        takes_time = bool(columns.attempts)
-        # an action that takes no time ends when all others have moved that can
-        arrives = not takes_time and (bool(columns.arriving) or len(outcomes) > 1)
-        if not takes_time and not arrives:
-            if outcomes == [POLICY]:
-                return _Parts(name, asking=name)
-            return _Parts(name, named={outcomes[0]: name})
-        doing = self._place("%s (doing)" % name, full) if takes_time else ""
-        arriving = self._place("%s (arriving)" % name, full) if arrives else ""
-        asking = self._place("%s (done)" % name, full) if POLICY in outcomes else ""
-        named = {
-            t: self._place("%s (done, wants %s)" % (name, self._source.transitions[t].name), full)
-            for t in outcomes
-            if t != POLICY
-        }
-        entry = doing or arriving
+        ends = [end for found in columns.ends.values() for end in found]
+        leads_on = any(end.request is not None or end.stops for end in ends)
+        if columns.inactive == NO_COLUMN and ends and not leads_on:
+            return _Parts(name)  # whatever happens there, its robots stay
+        doing = [attempt.columns[0] for attempt in columns.attempts]
+        if not doing and not columns.arriving and len(columns.entry) == 1:
+            return _Parts(name, {columns.entry[0][0]: name})
+        arriving = list(columns.arriving) or ([] if len(columns.entry) == 1 else [_UNDRAWN])
+        of: Dict[int, str] = {}
+        for column, part in (
+            *(
+                (c, "%s (attempt %d)" % (name, n) if n > 1 else "%s (doing)" % name)
+                for n, c in enumerate(doing, 1)
+            ),
+            *((c, "%s (arriving)" % name) for c in arriving),
+            (columns.asking, "%s (done)" % name),
+            *(
+                (c, "%s (done, wants %s)" % (name, self._source.transitions[t].name))
+                for t, c in columns.named.items()
+            ),
+            (columns.stuck, "%s (stuck)" % name),
+            (columns.inactive, "%s (inactive)" % name),
+        ):
+            if column != NO_COLUMN:
+                of[column] = self._place(part, full)
+        entry = of[columns.entry[0][0] if len(columns.entry) == 1 else _UNDRAWN]
         tokens = self._source.places[p].tokens
         number = next(i for i, place in enumerate(self._places) if place.name == entry)
         self._places[number] = self._places[number]._replace(tokens=tokens)
-        self.resting += named.values()
-        if arriving:
-            self.resting.append(arriving)
-        elif asking or not outcomes:
-            self.resting.append(doing)
-        return _Parts(entry, doing, asking, named, arriving)
+        # a robot that acts before it asks, or comes to rest, is as far as it can be after that
+        goes_on = columns.asking != NO_COLUMN or columns.inactive != NO_COLUMN
+        early = [*doing[0 if goes_on else 1 :], *arriving, *columns.named.values()]
+        self.resting += [of[column] for column in early]
+        if columns.stuck != NO_COLUMN and (columns.outcomes or goes_on):
+            self.resting.append(of[columns.stuck])
+        return _Parts(entry, of)
 
     def _refuse_shared_clocks(self) -> None:
         """Refuse what the rates of this net cannot say: an event comes to each robot by itself, but
@@ -286,8 +325,10 @@ class DecisionNet:
         self.rated.append(rated)
         return len(self._transitions) - 1
 
-    def _join_group(self, step: Stage, place: str, t: int, weight: float) -> None:
-        self._groups.setdefault((step, place), []).append((t, weight))
+    def _join_group(
+        self, step: Stage, place: str, t: int, weight: Value, partners: _Partners = ()
+    ) -> None:
+        self._groups.setdefault((step, place), []).append((t, weight, partners))
 
     def _add_transition(self, t: int) -> None:
         """Add transition ``t`` of the plan's net, once for each way in which robots can ask for
@@ -300,10 +341,10 @@ class DecisionNet:
             self._fire(step, t, {})
             return
         if t in self._events:
-            parts = self._split[self._events[t]]
-            for part in parts.pieces or (self._source.places[self._events[t]].name,):
-                self._fire(Stage.TIMED, t, {self._events[t]: part})
-            if t not in parts.named and t not in parts.racing:
+            p = self._events[t]
+            for part in self._pieces(p):
+                self._fire(Stage.TIMED, t, {p: ((part, 1, False),)})
+            if not self._named(p, t) and t not in self._split[p].racing:
                 return  # no robot asks for it besides
         if t in self._races:
             self._fire(Stage.TIMED, t, {})
@@ -313,70 +354,76 @@ class DecisionNet:
             return
         if t in self._run_net.never:
             return
-        options: List[List[Tuple[str, bool]]] = []  # of each place: (part, whether it was named)
-        for taking in self._run_net.takes[t]:
-            parts = self._split[taking.place]
+        takes = {taking.place: taking for taking in self._run_net.takes[t]}
+        options: List[List[_Taken]] = []  # of each place
+        for p, weight in robots:
+            named = self._named(p, t) if takes[p].named != NO_COLUMN else ""
+            asking = self._asking(p) if takes[p].at_policy else ""
             options.append(
-                ([(parts.named[t], True)] if taking.named >= 0 else [])
-                + ([(parts.asking, False)] if taking.at_policy else [])
+                [
+                    tuple(
+                        taken
+                        for taken in ((named, n, True), (asking, weight - n, False))
+                        if taken[1]
+                    )
+                    for n in range(weight + 1)
+                    if (named or not n) and (asking or n == weight)
+                ]
             )
-        if not all(options):
-            return  # no robot ever asks for it
-        ways = [tuple(option[0] for option in options)]
-        if any(len(option) > 1 for option in options):
-            if len(robots) > 1 or robots[0][1] > 1:
-                raise RefusedError(
-                    "some of the robots that it moves together may name it, others leave it to the "
-                    "policy",
-                    element=transition.name,
-                    hint="let the outcomes of a place either name it always or never",
-                )
-            ways = [(option,) for option in options[0]]
+        ways = list(itertools.product(*options))
         for way in ways:
-            self._add_way(t, robots, way)
+            self._add_way(t, dict(zip([p for p, _ in robots], way)), len(ways) > 1)
 
-    def _add_way(
-        self, t: int, robots: Sequence[Tuple[int, int]], way: Sequence[Tuple[str, bool]]
-    ) -> None:
+    def _add_way(self, t: int, way: Mapping[int, _Taken], one_of_several: bool) -> None:
         """Add immediate transition ``t`` with robots from these parts of their places."""
-        names = [self._source.places[p].name for p, _ in robots]
-        chances = [
-            {} if named else dict(self._chances(name)) for name, (_, named) in zip(names, way)
-        ]
-        by_chance = any(named for _, named in way) or any(t in chance for chance in chances)
-        policy = [
-            name
-            for name, (_, named) in zip(names, way)
-            if not named and self._deciders[name].policy
-        ]
+        asked = [(p, part, named) for p, taken in way.items() for part, _, named in taken]
+        deciders = {p: self._deciders[self._source.places[p].name] for p, _, n in asked if not n}
+        chances = {p: dict(d.chances) for p, d in deciders.items() if not d.policy}
+        by_chance = any(named for _, _, named in asked) or any(t in c for c in chances.values())
+        policy = [p for p, decider in deciders.items() if decider.policy]
         if not by_chance and not policy:
             return  # chance decides there, and never for this one
-        step = Stage.NAMED if by_chance else Stage.DECIDED
-        places = {p: part for (p, _), (part, _) in zip(robots, way)}
-        askers = tuple(self._plan.net.place_number(name) for name in policy)
-        number = self._fire(step, t, places, askers)
-        for (part, named), chance, name in zip(way, chances, names):
+        askers = tuple(self._plan.net.place_number(self._source.places[p].name) for p in policy)
+        number = self._fire(Stage.NAMED if by_chance else Stage.DECIDED, t, way, askers)
+        for p, part, named in asked:
+            partners: _Partners = ()
+            if one_of_several:
+                partners = tuple(
+                    (other, int(other == part), n - (other == part))
+                    for taken in way.values()
+                    for other, n, _ in taken
+                )
             if named:
-                self._join_group(Stage.NAMED, part, number, 1.0)
-            elif t in chance:
-                self._join_group(Stage.NAMED, part, number, chance[t])
-            elif self._deciders[name].policy:
-                self._join_group(Stage.DECIDED, part, number, self._source.transitions[t].number)
+                self._join_group(Stage.NAMED, part, number, 1.0, partners)
+            elif p in policy:
+                self._join_group(Stage.DECIDED, part, number, 1.0, partners)
+            elif t in chances[p]:
+                self._join_group(Stage.NAMED, part, number, chances[p][t], partners)
 
-    def _chances(self, name: str) -> Tuple[Tuple[int, float], ...]:
-        decider = self._deciders[name]
-        return () if decider.policy else decider.chances
+    def _pieces(self, p: int) -> Tuple[str, ...]:
+        """The places for the robots of place ``p``, each in one of them."""
+        return tuple(self._split[p].of.values()) or (self._source.places[p].name,)
+
+    def _named(self, p: int, t: int) -> str:
+        """The place for the robots of place ``p`` that are done and named ``t``; "": none."""
+        columns = self._run_net.columns.get(p)
+        return "" if columns is None else self._split[p].of.get(columns.named.get(t, NO_COLUMN), "")
+
+    def _asking(self, p: int) -> str:
+        """The place for the robots of place ``p`` that ask the policy."""
+        return self._split[p].of[self._run_net.columns[p].asking]
 
     def _add_exponential(self, t: int, robots: Sequence[Tuple[int, int]]) -> None:
-        parts = [self._split[p] for p, _ in robots]
-        if len(robots) == 1 and parts[0].racing:
-            if t in parts[0].racing:
-                self._fire(Stage.TIMED, t, {}, rate=parts[0].racing[t])
+        racing = self._split[robots[0][0]].racing
+        if len(robots) == 1 and racing:
+            if t in racing:
+                self._fire(Stage.TIMED, t, {}, rate=racing[t])
             return
-        if any(t not in part.named for part in parts):
+        places = {p: self._named(p, t) for p, _ in robots}
+        if not all(places.values()):
             return  # no robot ever asks for it
-        places = {p: part.named[t] for (p, _), part in zip(robots, parts)}
-        number = self._fire(Stage.ASKED, t, places, priority=1)
+        taken = {p: ((places[p], w, True),) for p, w in robots}
+        number = self._fire(Stage.ASKED, t, taken, priority=1)
         for place in places.values():
             self._join_group(Stage.ASKED, place, number, 1.0)
 
@@ -384,7 +431,7 @@ class DecisionNet:
         self,
         step: Stage,
         t: int,
-        taken: Mapping[int, str],
+        taken: Mapping[int, _Taken],
         askers: Tuple[int, ...] = (),
         *,
         rate: Optional[float] = None,
@@ -395,7 +442,10 @@ class DecisionNet:
         transition = net.transitions[t]
         inputs = [(net.places[p].name, w) for p, w in net.inputs[t]]
         inputs += [
-            (taken[p], w) for p, w in net.inputs[t] if p in taken and taken[p] != net.places[p].name
+            (part, n)
+            for p, parts in taken.items()
+            for part, n, _ in parts
+            if part != net.places[p].name
         ]
         outputs = [(net.places[p].name, w) for p, w in net.outputs[t]]
         outputs += [
@@ -432,35 +482,64 @@ class DecisionNet:
         return not any(p in self._plan.durations or p in self._plan.outcomes for p in names)
 
     def _add_ends(self, p: int, parts: _Parts) -> None:
-        """Add the ends of actions in place ``p``."""
-        source = parts.doing or parts.arriving
-        if not source:
+        """Add the ends of attempts at the action of place ``p``."""
+        columns = self._run_net.columns.get(p)
+        if columns is None or not (columns.ends or _UNDRAWN in parts.of):
             return
-        columns = self._run_net.columns[p]
-        step = Stage.TIMED if parts.doing else Stage.ARRIVED
-        if not columns.outcomes:  # what follows is nothing
-            rate = columns.attempts[0].rates[0]
-            self._add(step, "(%s ends)" % source, -1, [(source, 1)], [], rate=rate)
-        for t, v in columns.outcomes:
-            number = self._add(
-                step,
-                "(%s ends)" % source,
-                -1,
-                [(source, 1)],
-                [(parts.asking if t == POLICY else parts.named[t], 1)],
-                rate=v * columns.attempts[0].rates[0] if parts.doing else 1.0,
-                rated=t if parts.doing and t != POLICY and self._by_net(t) else -1,
-            )
-            if not parts.doing:
-                self._join_group(step, source, number, v)
+        for attempt in columns.attempts:
+            source = parts.of.get(attempt.columns[0])
+            if not source:
+                return  # whatever happens there, its robots stay
+            mean = self._run_net.timing[p].duration.mean
+            for end in columns.ends[attempt.columns[0]]:
+                # a rate of the net makes failures come faster, too
+                asked = [(POLICY if end.request is None else end.request, 1.0)]
+                if end.failed and self._source.places[p].name not in self._plan.durations:
+                    asked = list(columns.outcomes) or asked
+                for t, share in asked:
+                    self._end(
+                        Stage.TIMED,
+                        source,
+                        parts.of[end.column],
+                        rate=attempt.rates[0] * end.probability * share,
+                        rated=t
+                        if t != POLICY and self._by_net(t) and attempt.duration.mean == mean
+                        else -1,
+                        stops=end.stops,
+                    )
+        for column, source in parts.of.items():
+            if column in columns.arriving:
+                ends = [(e.column, e.probability, e.stops) for e in columns.ends[column]]
+            elif column == _UNDRAWN:
+                ends = [(c, v, False) for c, v in columns.entry]
+            else:
+                continue
+            for target, chance, stops in ends:
+                number = self._end(Stage.ARRIVED, source, parts.of[target], stops=stops)
+                self._join_group(Stage.ARRIVED, source, number, chance)
 
-    def _add_losses(self, p: int, parts: _Parts) -> None:
+    def _end(
+        self,
+        step: Stage,
+        source: str,
+        target: str,
+        *,
+        rate: float = 1.0,
+        rated: int = -1,
+        stops: bool,
+    ) -> int:
+        """Add an end of an attempt."""
+        outputs = [(target, 1)] + ([(self._stopped, 1)] if stops else [])
+        name = "(%s ends)" % source
+        return self._add(step, name, -1, [(source, 1)], outputs, rate=rate, rated=rated)
+
+    def _add_losses(self, p: int) -> None:
         name = self._source.places[p].name
         back = [
             (resource, count)
             for resource, count in self._plan.on_evict.get(name, {}).items()
             if resource not in self._run_net.counters and count > 0
         ]
-        for part in parts.pieces or (name,):
+        for part in self._pieces(p):
             inputs = [(name, 1)] + ([(part, 1)] if part != name else [])
             self._add(Stage.LOST, "(robot lost in %s)" % part, -1, inputs, back)

@@ -39,6 +39,7 @@ from gspn_framework_package.analysis.decisions.solving.solved import Solved
 from gspn_framework_package.analysis.plan.policy_answers import distinct_rows
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError, RefusedError
+from gspn_framework_package.model.marking_function import MarkingFunction
 
 _TIES = (1e-9, 1e-12, 0.0)
 """Two decisions whose values differ by less than this share of the largest value are equal. A loop
@@ -139,7 +140,10 @@ def present_choices(team: SizedTeam) -> Decided:
             ready = [t for t in leaving if enabled[t][g]]
             found = [(t, v) for t, v in answers[numbers[g]] if v > 0]
             if numbers[g] == 0:
-                found = [(t, v) for t, v in found if t in ready] or [(ready[0], 1.0)]
+                marking = team.distinct[g].tolist()
+                if not problem.plan.strict:
+                    found = [(t, v) for t in ready for v in (net.value(marking, t),) if v > 0]
+                found = found or [(ready[0], 1.0)]
             total = sum(v for _, v in found)
             for t, v in found:
                 chosen[g][t] = chosen[g].get(t, 0.0) + v / total
@@ -185,8 +189,8 @@ class _Table:
     :ivar enabled: transition -> boolean array over the distinct markings.
     :ivar asks: place -> boolean array: some immediate transition that leaves it is enabled.
     :ivar needed: boolean array: the markings that ask.
-    :ivar chance: for each chance place, per marking, a number for the set of transitions that
-        chance may take, and for each number their probabilities.
+    :ivar chance: for each chance place, per marking, the number of what chance may take there, and
+        for each number the probabilities.
     """
 
     def __init__(self, team: SizedTeam) -> None:
@@ -207,24 +211,33 @@ class _Table:
                 asks |= self.enabled[t]
             self.asks[p] = asks
             self.needed |= asks
-        self.chance: List[Tuple[Indices, Dict[int, Dict[int, float]]]] = []
+        self.chance: List[Tuple[Indices, List[Dict[int, float]]]] = []
         for decider in problem.found.values():
             if decider.policy:
                 continue
             top = np.full(len(team.distinct), -1, dtype=np.int64)
             for t, _ in sorted(decider.chances, key=lambda c: net.transitions[c[0]].priority):
                 top[self.enabled[t]] = net.transitions[t].priority
-            mask = np.zeros(len(team.distinct), dtype=np.int64)
-            for i, (t, _) in enumerate(decider.chances):
-                mask[self.enabled[t] & (top == net.transitions[t].priority)] += 1 << i
-            sets = {
-                bits: _normalised(
-                    {t: v for i, (t, v) in enumerate(decider.chances) if bits >> i & 1}
-                )
-                for bits in np.unique(mask).tolist()
-                if bits
-            }
-            self.chance.append((mask, sets))
+            weights = np.zeros((len(team.distinct), len(decider.chances)))
+            which = np.zeros(weights.shape, dtype=np.int64)  # of the weights in its column
+            for i, (t, weight) in enumerate(decider.chances):
+                able = self.enabled[t] & (top == net.transitions[t].priority)
+                if isinstance(weight, MarkingFunction):
+                    columns = {
+                        name: team.distinct[able, net.place_index[name]].astype(np.float64)
+                        for name in weight.places
+                    }
+                    weights[able, i] = weight.values(columns)
+                    which[able, i] = 1 + np.unique(weights[able, i], return_inverse=True)[1]
+                else:
+                    weights[able, i] = weight
+                    which[able, i] = 1
+            first, kind = distinct_rows(which)
+            sets = [
+                _normalised({t: v for (t, _), v in zip(decider.chances, row) if v})
+                for row in weights[first].tolist()
+            ]
+            self.chance.append((np.where(which.any(axis=1), kind, _SILENT), sets))
 
 
 class _Grouping:
@@ -727,8 +740,8 @@ class _Grouping:
         drawn = sorted(several)
         for i, pair in enumerate(drawn):
             columns[self._marking[pair], self._pair_place[pair]] = width + i
-        for i, (mask, _) in enumerate(table.chance):
-            columns[:, places + i] = mask
+        for i, (numbers, _) in enumerate(table.chance):
+            columns[:, places + i] = numbers
         first, kind = distinct_rows(columns + 1)
         kinds: List[Dict[int, float]] = []
         for row in columns[first].tolist():
@@ -736,9 +749,9 @@ class _Grouping:
             for t in row[:places]:
                 if t >= 0:
                     parts.append({t: 1.0} if t < width else several[drawn[t - width]])
-            for bits, (_, sets) in zip(row[places:], table.chance):
-                if bits > 0:
-                    parts.append(sets[bits])
+            for number, (_, sets) in zip(row[places:], table.chance):
+                if number != _SILENT:
+                    parts.append(sets[number])
             whole: Dict[int, float] = {}
             for part in parts:
                 for t, v in part.items():

@@ -34,10 +34,7 @@ class Play(NamedTuple):
 
 
 class Answers:
-    """The answer to a robot that asks for a decision; made from a policy.
-
-    :param plan: the plan, with weights for markings of which the policy says nothing.
-    """
+    """The answer to a robot that asks for a decision; made from a policy."""
 
     def __init__(self, plan: Plan, policy: Policy, stages: Stages) -> None:
         def counts(p: int, states: Indices) -> Indices:
@@ -45,18 +42,12 @@ class Answers:
             tokens = plan.net.places[p].tokens
             return stages.space.column(q, states) if q >= 0 else np.full(len(states), tokens)
 
-        self._plan = plan
         self._rows = PolicyAnswers(plan.net, policy, counts)
 
     def of(self, place: int, states: Indices) -> Tuple[Indices, List[Choices]]:
         """The number of the answer to a robot in ``place`` for each of ``states``, and the answers.
-        The first is that the weights decide."""
-        number, answers = self._rows.of(place, states)
-        net = self._plan.net
-        if not self._plan.strict:
-            leaving = net.immediate_from[place]
-            answers[0] = tuple((t, net.transitions[t].number) for t in leaving)
-        return number, answers
+        The first stands for the weights of the net, or nothing if the plan is strict."""
+        return self._rows.of(place, states)
 
 
 class DecidedAnswers:
@@ -195,20 +186,20 @@ class _Player:
     def _askers(self, groups: List[Group], asked: Booleans) -> _Askers:
         """The robots of groups in one place."""
         stages = self._stages
-        arcs = np.concatenate([stages.arcs_of(t) for g in groups for t, _ in g.members])
-        arcs = arcs[asked[stages.sources[arcs]]]
+        arcs, chances = stages.ways(groups)
+        now = asked[stages.sources[arcs]]
+        arcs, chances = arcs[now], chances[now]
         if groups[0].named:
-            chances = np.ones(len(arcs))
             levels = stages.priorities[stages.labels[arcs]]
             states = stages.sources[arcs].astype(np.int64)
             able = np.ones(len(arcs))
         else:
-            arcs, chances, states, levels, able = self._drawn(groups[0], arcs)
+            arcs, chances, states, levels, able = self._drawn(groups[0], arcs, chances)
         robots = stages.space.column(groups[0].place, states)
         return _Askers(states, robots, levels, able, arcs, chances)
 
     def _drawn(
-        self, group: Group, arcs: Indices
+        self, group: Group, arcs: Indices, ways: Floats
     ) -> Tuple[Indices, Floats, Indices, Indices, Floats]:
         """What robots at the policy draw: the arcs, the chance of each among those that can fire;
         their states, the priority there, and the probability of drawing any of them."""
@@ -222,19 +213,28 @@ class _Player:
         local = np.full(len(net.transitions), -1, dtype=np.int64)
         local[leaving] = np.arange(len(leaving))
         origins = local[np.array(stages.net.origins)[stages.labels[arcs]]]
-        # of each kind of states, with the same answer and the same transitions that can fire: the
-        # weight of each, the highest priority, and the probability of drawing one of them
-        ready = np.zeros((len(states), len(leaving) + 1), dtype=np.min_scalar_type(len(answers)))
-        ready[of_arc, origins] = 1
+        by_net = [[] if t in net.functions else [net.transitions[t].number] for t in leaving]
+        value = np.ones(len(arcs), dtype=np.int64)  # of each arc: which of these, from 1
+        for i in [i for i, t in enumerate(leaving) if t in net.functions]:
+            mine = np.flatnonzero(origins == i)
+            found, of = np.unique(stages.weights(arcs[mine]), return_inverse=True)
+            by_net[i] = found.tolist()
+            value[mine] += of.reshape(-1)
+        # of each kind of states, with the same answer, the same transitions that can fire and the
+        # same weights of the net: the share of each, the highest priority, and the probability of
+        # drawing one of them
+        most = max(len(answers), *map(len, by_net), 1)
+        ready = np.zeros((len(states), len(leaving) + 1), dtype=np.min_scalar_type(most))
+        ready[of_arc, origins] = value
         ready[:, -1] = answer
         first, kind = distinct_rows(ready)
         weights = np.zeros((len(first), len(leaving)))
         level = np.zeros(len(first), dtype=np.int64)
         able = np.zeros(len(first))
         for k, (*fires, answered) in enumerate(ready[first].tolist()):
-            can = {t for t, yes in zip(leaving, fires) if yes}
-            told = answers[answered]
-            drawn = candidates(net, told if answered else [c for c in told if c[0] in can], can)
+            can = {t: values[i - 1] for t, values, i in zip(leaving, by_net, fires) if i}
+            weighed = () if self._plan.strict else can.items()
+            drawn = candidates(net, answers[answered] if answered else weighed, can.keys())
             for t, v in drawn:
                 if t in can:
                     weights[k, local[t]] = v
@@ -243,7 +243,7 @@ class _Player:
             if able[k] > 0:
                 weights[k] /= able[k]
                 able[k] = min(able[k] / sum(v for _, v in drawn), 1.0)
-        chances = weights[kind[of_arc], origins]
+        chances = weights[kind[of_arc], origins] * ways
         some = able[kind] > 0
         return (
             arcs[chances > 0],

@@ -12,7 +12,6 @@ marking in which a run may ask the policy.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
@@ -152,7 +151,7 @@ class DecisionProblem:
         timing = PlanTiming(plan)
         self.left_out = _left_out(plan, [*never, *conditions])
         self._run_net = compile_plan(
-            plan, timing.simplified() if reading == RUN else None, left_out=self.left_out
+            plan, timing if reading == RUN else None, exponential=True, left_out=self.left_out
         )
         self._net = DecisionNet(self._run_net, found, losses=losses)
         self.assumptions = self._assume(found, timing)
@@ -167,12 +166,10 @@ class DecisionProblem:
             seconds=limits.seconds,
         )
         self.space.require_complete("the choices of the robots")
-        self._over = (
-            self.space.holds(plan.until) if plan.until else np.zeros(len(self.space), dtype=bool)
-        )
-        if self._run_net.inactive:
-            self._over |= ~self._net.busy(self.space)
-        self.stages = Stages(self._net, self.space, self._over)
+        over = self._net.ended(self.space)
+        if plan.until:
+            over |= self.space.holds(plan.until)
+        self.stages = Stages(self._net, self.space, over)
         self._plays: Dict[Policy, Play] = {}
         self.present = self._play(plan.policy)
         self.built: Built = build_automaton(
@@ -203,30 +200,18 @@ class DecisionProblem:
             return sentences + net_notes(self.plan).assumptions
         sentences += timing.assumptions + list(self._run_net.assumptions)
         net = self._run_net.net
-        acting = [
-            net.places[p].name for p, t in self._run_net.timing.items() if t.duration.mean > 0
-        ]
-        longer = [
-            name
-            for name in acting
-            if timing.places[self.plan.net.place_number(name)].duration.kind is not Kind.EXPONENTIAL
-        ]
+        longer = []
+        for p, timing_there in self._run_net.timing.items():
+            durations = [timing_there.duration]
+            if p in self._run_net.columns:
+                durations += [a.duration for a in self._run_net.columns[p].attempts]
+            if any(d.mean > 0 and d.kind is not Kind.EXPONENTIAL for d in durations):
+                longer.append(net.places[p].name)
         if longer:
             sentences.append(
                 "durations are taken as exponential with their means (%s)" % listed(longer)
             )
-        sentences += of_events(self.plan)
-        if any(chance > 0 for chance in self.plan.failures.values()):
-            sentences.append("actions always succeed")
-        cut_off = [
-            name
-            for name in acting
-            for place in (timing.places[self.plan.net.place_number(name)],)
-            if place.timeout < math.inf and place.duration.survival(place.timeout) > 0
-        ]
-        if cut_off:
-            sentences.append("no timeout cuts an action off (%s)" % listed(cut_off))
-        return sentences
+        return sentences + of_events(self.plan)
 
     # -- states ------------------------------------------------------------------------------------
 

@@ -483,7 +483,7 @@ class _Search:
                     others.update((self.net.transitions[t].name, v) for t, v in spoken)
             else:  # a row for one place disables the weights of the others
                 others.update(
-                    (self.net.transitions[t].name, self.net.transitions[t].number)
+                    (self.net.transitions[t].name, self.net.value(marking, t))
                     for t in leaving
                     if not self.net.transitions[t].is_controllable
                 )

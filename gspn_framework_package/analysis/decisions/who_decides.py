@@ -7,6 +7,7 @@ from typing import AbstractSet, Dict, NamedTuple, Sequence, Tuple
 
 from gspn_framework_package.analysis.plan.reading import RUN
 from gspn_framework_package.model.errors import RefusedError, UsageError
+from gspn_framework_package.model.marking_function import Value
 from gspn_framework_package.model.plan import Plan
 
 
@@ -20,7 +21,7 @@ class Decider(NamedTuple):
 
     policy: bool
     reason: str
-    chances: Tuple[Tuple[int, float], ...] = ()
+    chances: Tuple[Tuple[int, Value], ...] = ()
 
 
 def who_decides(plan: Plan, reading: str, may_wait: AbstractSet[str]) -> Dict[str, Decider]:
@@ -69,7 +70,7 @@ def _decider(
     outcomes = plan.outcomes.get(name)
     named = {t: v for t, v in (outcomes or {}).items() if t and v > 0}
     by_weight = tuple(
-        (t, transitions[t].number) for t in immediate if not transitions[t].is_controllable
+        (t, transitions[t].weight) for t in immediate if not transitions[t].is_controllable
     )
     by_action = tuple(
         (t, named[transitions[t].name]) for t in immediate if transitions[t].name in named

@@ -49,6 +49,9 @@ def test_all_statements_agree_about_weights_and_rates_that_depend_on_the_marking
         for name in (
             "chain_and_run",
             "net_and_run",
+            "optimiser_and_run",
+            "optimiser_and_net",
+            "optimum_and_run",
             "check_and_run",
             "simulation_and_run",
             "table_and_run",
@@ -57,28 +60,27 @@ def test_all_statements_agree_about_weights_and_rates_that_depend_on_the_marking
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("family", ["capacities", "degrees", "spontaneous_first", "at_rest"])
-def test_policies_are_computed_for_rates_that_depend_on_the_marking(family):
+@pytest.mark.parametrize(
+    "family", ["capacities", "degrees", "spontaneous_first", "at_rest", "unequal_classes"]
+)
+def test_policies_are_computed_for_weights_and_rates_that_depend_on_the_marking(family):
     for number in range(2):
         sample = made(family, 7, number)
-        case = Case(sample._replace(plan=dependent(sample.plan, choices=False)))
+        case = Case(sample._replace(plan=dependent(sample.plan)))
         assert case.plan.net.functions
         for name in ("optimiser_and_run", "optimiser_and_net", "optimum_and_run"):
             assert told_by(COMPARISONS[name], case) == [], name
 
 
-def dependent(plan, choices=True):
-    """The plan with weights, and rates of its environment, that depend on the marking; without
-    ``choices`` not the weights of transitions that robots choose."""
+def dependent(plan):
+    """The plan with weights, and rates of its environment, that depend on the marking."""
     source, net = random.Random(plan.name), plan.net
     for t, transition in enumerate(plan.net.transitions):
         place = quoted_place(source.choice(net.places).name)
         text = "%r * (0.5 + #%s) / (1 + 0.3 * #%s)" % (transition.number, place, place)
         if transition.timed and not plan.moves_robots(t):
             net = net.with_transition(transition._replace(rate=parse_value(text)))
-        elif not (transition.timed or transition.is_controllable) and (
-            choices or not plan.moves_robots(t)
-        ):
+        elif not (transition.timed or transition.is_controllable):
             net = net.with_transition(transition._replace(weight=parse_value(text)))
     return replace(plan, net=net).validate()
 

@@ -124,8 +124,7 @@ def test_the_best_policy_never_skips(folder, gspn, tmp_path):
     words = ["optimise", folder, "--reward", "done=1", "--json", "-o", str(tmp_path / "best.json")]
     found = json.loads(gspn(*words))
     assert found["choices"][0]["best"] == {"begin": 1.0}
-    assert found["value"] == pytest.approx(1 / (2 + REST))  # without failures, as it says
-    assert "actions always succeed" in found["assumptions"]
+    assert found["value"] == pytest.approx(IF_BEGUN_ALWAYS)
     better = found["simulation"]["difference"]
     assert better["low"] < IF_BEGUN_ALWAYS - IF_BEGUN_HALF_THE_TIME < better["high"]
     analysed = json.loads(gspn("analyse", str(tmp_path / "best.json"), "--json"))

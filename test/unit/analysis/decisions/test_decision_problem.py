@@ -16,15 +16,19 @@ from hypothesis import strategies as st
 from running_plans import running_plans
 
 from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.decisions.aims import Objective, Request
+from gspn_framework_package.analysis.decisions.optimise import optimise
 from gspn_framework_package.analysis.decisions.problem import DecisionProblem
 from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.plan.reading import NET, RUN
+from gspn_framework_package.analysis.simulation import simulate
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import LimitError, RefusedError
 from gspn_framework_package.model.event import EventSource
+from gspn_framework_package.model.failure import FailureRule
 from gspn_framework_package.model.plan import Plan, RobotSpec
 
 PLANS = ["patrol", "rendezvous", "fork_join", "measure", "tokens"]
@@ -33,11 +37,11 @@ many = settings(max_examples=25, derandomize=True, suppress_health_check=list(He
 
 
 def exponential(plan):
-    """The plan with exponential durations of the same means, whose actions succeed."""
+    """The plan with exponential durations of the same means, which nothing cuts off."""
     durations = {
         p: Duration.exponential(d.mean) if d.mean > 0 else d for p, d in plan.durations.items()
     }
-    return replace(plan, durations=durations, failures={}, timeouts={})
+    return replace(plan, durations=durations, timeouts={})
 
 
 def assert_same(plan, decisions, policy, reading):
@@ -195,10 +199,58 @@ def test_an_event_that_several_robots_share_a_resource_for_is_refused():
     assert any("the simulation holds them" in note for note in notes)
 
 
-@pytest.mark.parametrize(("limit", "is_cut_off"), [(0.5, True), (3.0, False)])
-def test_a_timeout_that_the_optimiser_leaves_out_is_said(limit, is_cut_off):
+@pytest.mark.parametrize(
+    ("limit", "mean", "failure"), [(0.5, 0.5, 1.0), (1.5, 1.375, 0.5), (3.0, 1.5, 0.0)]
+)
+def test_an_attempt_that_a_timeout_cuts_off_is_a_failure_of_its_true_probability(
+    limit, mean, failure
+):
     plan = read_plan("plans/rendezvous/plan.json")
-    durations = {"Fetch": Duration.uniform(1.0, 2.0)}
-    plan = replace(plan, durations=durations, timeouts={"Fetch": limit})
-    notes = DecisionProblem(plan, reading=RUN).assumptions
-    assert ("no timeout cuts an action off (Fetch)" in notes) is is_cut_off
+    plan = replace(plan, on_failure={"Fetch": FailureRule.retry(1, 0.7)})
+    uniform = {"Fetch": Duration.uniform(1.0, 2.0)}
+    one = DecisionProblem(replace(plan, durations=uniform, timeouts={"Fetch": limit}), reading=RUN)
+    same = {"Fetch": Duration.exponential(mean)}
+    other = DecisionProblem(replace(plan, durations=same, failures={"Fetch": failure}), reading=RUN)
+    found, expected = one.teams[0].automaton, other.teams[0].automaton
+    assert found.targets.tolist() == expected.targets.tolist()
+    assert found.values == pytest.approx(expected.values, rel=1e-9)
+    assert "durations are taken as exponential with their means (Fetch)" in one.assumptions
+
+
+@pytest.mark.parametrize(
+    ("rule", "then"),
+    [
+        (FailureRule.retry(2), "wait"),
+        (FailureRule.fire("slip"), "fire"),
+        (FailureRule.stop(), "stop"),
+    ],
+)
+def test_the_best_policy_of_actions_that_fail_is_worth_what_analysis_and_simulation_say(rule, then):
+    net = NetBuilder("fails").place("at", 1).place("good").place("poor").place("back")
+    net.immediate("to_good", inputs="at", outputs="good")
+    net.immediate("to_poor", inputs="at", outputs="poor")
+    net.immediate("done_good", inputs="good", outputs="back")
+    net.immediate("done_poor", inputs="poor", outputs="back")
+    net.immediate("slip", inputs="good", outputs="back")
+    net.exponential("again", rate=0.5, inputs="back", outputs="at")
+    act = FunctionAction("actions.work", "work")
+    plan = Plan(
+        net.build(),
+        actions={"at": None, "good": act, "poor": act, "back": act},
+        robots=(RobotSpec("r", "at"),),
+        durations={"good": Duration.exponential(1.0), "poor": Duration.exponential(2.0)},
+        outcomes={"good": {"done_good": 1.0}, "poor": {"done_poor": 1.0}},
+        failures={"good": 0.4},
+        on_failure={"good": rule},
+    ).validate()
+    rewards = {"done_good": 1.0, "done_poor": 0.7}
+    report = optimise(plan, Request(Objective.long_run(rewards)), simulated=0)
+    fired = Analysis(report.plan).measures.throughput
+    worth = sum(fired[t] * value for t, value in rewards.items())
+    assert report.teams[0].value == pytest.approx(worth, abs=1e-9)
+    # stuck, or stopped, sooner or later: then the poor way is the better one
+    assert fired["done_poor"] == pytest.approx(0.0 if then == "fire" else 1 / 4, abs=1e-9)
+    assert fired["done_good"] == pytest.approx(0.6 / 3 if then == "fire" else 0.0, abs=1e-9)
+    found = simulate(report.plan, time=2000.0, replications=40, seed=3).throughput
+    for t in rewards:
+        assert abs(found[t].mean - fired[t]) <= 2 * found[t].half_width
