@@ -12,6 +12,7 @@ from typing import Any, Dict, List, Tuple
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.chain_export import explicit_chain
 from gspn_framework_package.analysis.limits import STATE_LIMIT
+from gspn_framework_package.analysis.plan.reading import READINGS, RUN
 from gspn_framework_package.analysis.plan.run_net_export import run_net_of
 from gspn_framework_package.analysis.structure.invariants import invariant_bounds
 from gspn_framework_package.cli import numbers
@@ -21,7 +22,7 @@ from gspn_framework_package.cli.net_input import (
     read_net_argument,
     read_net_or_plan_argument,
 )
-from gspn_framework_package.cli.options import Argument, Arguments, add_options, repeated
+from gspn_framework_package.cli.options import Argument, Arguments, add_options, choice, repeated
 from gspn_framework_package.cli.plan_output import plan_path, refuse_existing, write_plan
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.formats import (
@@ -70,6 +71,10 @@ _OPTIONS: Arguments = {
         "of a plan: its run net, which has the numbers of the plan as it runs under its policy; "
         "'gspn explain --run-net' says what is what in it"
     ),
+    choice("--timing", READINGS): (
+        "with --run-net, or for the chain of a plan: as it runs (default), or as a race of its "
+        "net's rates"
+    ),
     repeated("--expand", ("PLACE", "NET", "ENTRY", "EXIT"), nargs=4): (
         "replace PLACE by the net of a file: tokens enter at its place ENTRY and leave from EXIT "
         "(may be repeated)"
@@ -82,6 +87,8 @@ _OPTIONS: Arguments = {
     ),
     "--json": "print a summary as a JSON object",
 }
+
+_NO_TIMING = "--timing is for run nets (--run-net) and for the chains of plans"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -106,6 +113,8 @@ def run(args: argparse.Namespace) -> int:
     ):
         if args.run_net:
             raise UsageError("a run net is a net, and %s a plan" % args.output)
+        if args.timing:
+            raise UsageError(_NO_TIMING)
         return _write_plan(args)
     chain = args.to or next((name for name, ending in CHAINS.items() if ending == suffix), None)
     if chain in CHAINS:
@@ -116,6 +125,8 @@ def run(args: argparse.Namespace) -> int:
         if args.run_net:
             raise UsageError("--run-net is for nets", hint="a plan has a chain without it")
         return _write_chain(args, chain)
+    if args.timing and not args.run_net:
+        raise UsageError(_NO_TIMING)
     if args.label:
         raise UsageError("--label is for chains: %s" % ", ".join(CHAINS.values()))
     target = format_named(args.to) if args.to else format_of_name(args.output)
@@ -143,7 +154,7 @@ def _read_run_net(args: argparse.Namespace) -> Tuple[Net, List[str]]:
     plan, notes = read_net_or_plan_argument(args)
     if not isinstance(plan, Plan):
         raise UsageError("--run-net is for plans, and this is a net", file=args.net_file)
-    literal, assumed = run_net_of(plan)
+    literal, assumed = run_net_of(plan, args.timing or RUN)
     return literal.net, notes + assumed
 
 
@@ -172,7 +183,8 @@ def _write_chain(args: argparse.Namespace, kind: str) -> int:
     subject, notes = read_net_or_plan_argument(args)
     with ProgressLine() as progress:
         chain = explicit_chain(
-            Analysis(subject, limit=args.limit, progress=progress), _labels(args.label)
+            Analysis(subject, limit=args.limit, timing=args.timing, progress=progress),
+            _labels(args.label),
         )
     empty = [label for label, states in chain.labels.items() if not states]
     unknown = (

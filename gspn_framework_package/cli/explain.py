@@ -8,13 +8,14 @@ import json
 from typing import Any, Dict, List, Sequence
 
 from gspn_framework_package.analysis.plan.edited_nets import with_losses
+from gspn_framework_package.analysis.plan.reading import READINGS, RUN
 from gspn_framework_package.analysis.plan.run_net_export import run_net_of
 from gspn_framework_package.analysis.plan.witness import play_sequence
 from gspn_framework_package.analysis.preflight import MARKING_LIMIT
 from gspn_framework_package.analysis.preflight.report import Severity
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.net_input import print_notes
-from gspn_framework_package.cli.options import MODULES_OPTION, Argument, Arguments
+from gspn_framework_package.cli.options import MODULES_OPTION, Argument, Arguments, choice
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import UsageError
@@ -29,6 +30,9 @@ OPTIONS: Arguments = {
     "--run-net": (
         "say instead what each place and transition of the run net stands for, which 'gspn convert "
         "--run-net' writes"
+    ),
+    choice("--timing", READINGS): (
+        "with --run-net: as the plan runs (default), or as a race of its net's rates"
     ),
     Argument("--robots", "N", numbers.robots): "for a team of N robots",
     Argument("--limit", "N", numbers.markings, MARKING_LIMIT): (
@@ -49,6 +53,8 @@ def run(args: argparse.Namespace) -> int:
     plan = read_plan(args.plan)
     if args.robots is not None:
         plan = plan.for_robots(args.robots)
+    if args.timing and not args.run_net:
+        raise UsageError("--timing goes with --run-net")
     if args.run_net:
         return _explain_run_net(plan, args)
     told = [{"text": "", "sequence": args.transitions}] if args.transitions else _found(plan, args)
@@ -69,7 +75,7 @@ def _explain_run_net(plan: Plan, args: argparse.Namespace) -> int:
     """Print what the places and transitions of the run net stand for."""
     if args.transitions:
         raise UsageError("--run-net plays no transitions")
-    literal, notes = run_net_of(plan)
+    literal, notes = run_net_of(plan, args.timing or RUN)
     if args.json:
         told = {
             "plan": plan.name,

@@ -65,7 +65,7 @@ class LiteralNet(NamedTuple):
 def literal_net(run_net: RunNet) -> LiteralNet:
     """A run net as an ordinary net.
 
-    :param run_net: a plan, compiled as it runs.
+    :param run_net: a plan, compiled.
     :raises RefusedError: an ordinary net would not be exact, or too large.
     """
     return _Writer(run_net).literal()
@@ -216,7 +216,7 @@ class _Writer(StagedNet):
             self.add(wanted, meaning, stage, value, spent, {**puts, **changes}, ready, servers)
             return
         under = self.place(wanted + " under way", "", "%s has begun to fire" % name)
-        self.add(wanted, meaning, stage, value, takes, {under: 1, **changes}, ready)
+        self.add(wanted, meaning, stage, value, takes, {under: 1, **changes}, ready, servers)
         for way, weight in ways:
             meaning = Meaning(name, "%s takes others: %s" % (name, ", ".join(way)))
             takes = {under: 1, **spent, **way}
@@ -285,10 +285,27 @@ class _Writer(StagedNet):
             for place in self._parts[run.interrupted[t]]:
                 each, ready = parse_value("%r * #%s" % (rate, place)), self._enabled(t)
                 self._fire(t, "by its event", IN_TIME, each, {place: 1}, ready, servers=1)
-        for t, _, _ in run.races:
+        for t, whole, _ in run.races:
             value, servers = self._value(t), self._net.transitions[t].servers
-            ready = self._enabled(t)
-            self._fire(t, "in the environment", IN_TIME, value, {}, ready, servers=servers)
+            takes, ready = {self._columns[column]: w for column, w in whole}, self._enabled(t)
+            # robots of split places wait there for the policy, and ask again when draws have ended
+            others = {
+                self._deciding[p].asking: w
+                for p, w in self._net.inputs[t]
+                if self._run.acts[p] and p in self._deciding
+            }
+            text = "by its rate" if takes or others else "in the environment"
+            self._fire(
+                t,
+                text,
+                IN_TIME,
+                value,
+                takes,
+                ready,
+                servers=servers,
+                ways=[(others, 1.0)],
+                later=bool(others),
+            )
 
     def _end_attempt(self, columns: PlaceColumns, column: int, rate: Optional[float]) -> None:
         """An attempt ends; without a ``rate`` it has taken no time."""

@@ -162,6 +162,11 @@ def literal_and_run(case: Case) -> List[str]:
     return differences(case.numbers(old.LiteralSteps(case.plan)), case.run)
 
 
+def literal_and_net(case: Case) -> List[str]:
+    """The same for the classical reading."""
+    return differences(case.numbers(old.LiteralSteps(case.plan, NET)), case.net_run)
+
+
 def net_and_run(case: Case) -> List[str]:
     """``--timing net`` against the choices of the run in the race of the net."""
     return differences(case.numbers(old.net_chain(case.plan)), case.net_run)
@@ -349,6 +354,7 @@ COMPARISONS: Dict[str, Comparison] = {
     for function, families in (
         (chain_and_run, _STATED_BY_CHAIN),
         (literal_and_run, _STATED_BY_CHAIN),
+        (literal_and_net, _STATED_BY_CHAIN),
         (net_and_run, _STATED_BY_CHAIN),
         (optimiser_and_run, _STATED_BY_CHAIN),
         (optimiser_and_net, _STATED_BY_CHAIN),

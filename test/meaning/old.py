@@ -107,8 +107,8 @@ class LiteralSteps:
     :raises RefusedError: an ordinary net cannot express the plan.
     """
 
-    def __init__(self, plan: Plan) -> None:
-        literal = literal_net(compile_plan(plan, PlanTiming(plan)))
+    def __init__(self, plan: Plan, reading: str = RUN) -> None:
+        literal = literal_net(compile_plan(plan, PlanTiming(plan) if reading == RUN else None))
         self._net = net = literal.net
         self._fired = [
             plan.net.transition_number(meaning.of) if meaning.fires else -1

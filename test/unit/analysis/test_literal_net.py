@@ -41,21 +41,24 @@ QUICK = [path for path in GO_ON if path not in ("plans/warehouse", "plans/inspec
 """Those that Storm solves in a few seconds."""
 
 
-def literal_of(plan):
-    return literal_net(compile_plan(plan, PlanTiming(plan)))
+def literal_of(plan, timing="run"):
+    return literal_net(compile_plan(plan, PlanTiming(plan) if timing == "run" else None))
 
 
 @pytest.mark.parametrize(
-    "path",
+    ("path", "timing"),
     [
-        pytest.param(path, marks=pytest.mark.long) if path == "plans/inspection" else path
+        pytest.param(path, "run", marks=pytest.mark.long)
+        if path == "plans/inspection"
+        else (path, "run")
         for path in GO_ON
-    ],
+    ]
+    + [(path, "net") for path in QUICK],
 )
-def test_the_long_run_of_every_plan(path):
+def test_the_long_run_of_every_plan(path, timing):
     plan = GO_ON[path](path)
-    literal = literal_of(plan)
-    mine, found = Analysis(plan, timing="run").measures, Analysis(literal.net).measures
+    literal = literal_of(plan, timing)
+    mine, found = Analysis(plan, timing=timing).measures, Analysis(literal.net).measures
     tokens, counted = mine.mean_tokens, found.mean_tokens
     assert literal.counts.keys() | set(plan.counters) == {p.name for p in plan.net.places}
     assert {place: counted[name] for place, name in literal.counts.items()} == pytest.approx(
@@ -236,6 +239,30 @@ def test_the_command_writes_it(ending, tmp_path, capsys):
 def test_what_has_no_run_net(words, text, capsys):
     assert main(["convert", *words, "--run-net"]) == 2
     assert text in capsys.readouterr().err
+
+
+def test_the_run_net_of_either_reading_of_time_is_written(tmp_path, capsys):
+    clock = "the clock of an exponential transition runs only while it is enabled"
+    path, docked = str(tmp_path / "x.json"), {}
+    for timing in ("run", "net"):
+        words = ["convert", "plans/rendezvous", str(tmp_path / "x.pnpro"), "--run-net"]
+        assert main([*words, "--timing", timing]) == 0
+        assert (clock in capsys.readouterr().err) is (timing == "net")
+        net = read_net(tmp_path / "x.pnpro")
+        docked[timing] = Analysis(net).measures.mean_tokens["Docked"]
+        plan = read_plan("plans/rendezvous")
+        mine = Analysis(plan, timing=timing).measures.mean_tokens["Docked"]
+        assert docked[timing] == pytest.approx(mine, abs=1e-9)
+        assert main(["explain", "plans/rendezvous", "--run-net", "--timing", timing]) == 0
+        assert (clock in capsys.readouterr().err) is (timing == "net")
+    assert docked["run"] != pytest.approx(docked["net"], abs=1e-3)
+    for verb, *words in (
+        ["explain", "plans/rendezvous"],
+        ["convert", "plans/rendezvous", path],
+        ["convert", "plans/rendezvous/net.xml", str(tmp_path / "y.pnml")],
+    ):
+        assert main([verb, *words, "--timing", "net"]) == 2
+        assert "--run-net" in capsys.readouterr().err
 
 
 def test_a_duration_that_never_varies_is_refused():
