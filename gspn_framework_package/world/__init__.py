@@ -21,5 +21,5 @@
 ``camera``, ``recording``, ``film``, ``window``
     pictures of it.
 
-Also here: ``parameters``, ``parking``, ``people``, ``shop``, ``shop_node``.
+Also here: ``counter``, ``parameters``, ``parking``, ``people``, ``shop``, ``shop_node``.
 """

@@ -91,6 +91,28 @@ def test_the_order_of_a_lost_robot_is_done_once(coverage: Coverage, place: str) 
     assert run.marking["Counter"] == 1
 
 
+@pytest.mark.parametrize("place", ["Fetch", "Hand_Over"])
+def test_a_robot_whose_action_fails_keeps_its_order_until_it_is_given_back(
+    coverage: Coverage, place: str
+) -> None:
+    run = start(coverage)
+    run.action(place, fails="aborted", times=1)
+    run.submit("order", {"pose": POSE})
+    run.until_fired("delivered", within=9_000.0)
+    first, second = run.attempts_in(place)
+    assert second.data["task.id"] == first.data["task.id"] == "order-1"
+    tries = 1 + coverage.plan.failure_rule(place).times
+    run.action(place, fails="aborted", times=tries)
+    run.submit("order", {"pose": POSE})
+    run.until(lambda: len(run.attempts_in(place)) == 2 + tries, within=9_000.0)
+    robot = run.attempts_in(place)[-1].robot
+    run.until(lambda: run.phase(robot) == "failed", within=9_000.0)
+    run.order(log_entries.GiveBack("order-2"))
+    run.until_fired("delivered", within=9_000.0)
+    assert run.tasks_done == ["order-1", "order-2"]
+    assert run.count("order") == 2
+
+
 @pytest.mark.parametrize(
     ("place", "leaves"),
     [("Fetch", "called_off"), ("Deliver.Approach", "taken_back"), ("Hand_Over", "taken_back")],

@@ -166,6 +166,7 @@ class ReactingChecks:
                     transition=transition.name,
                     places=laden,
                 )
+        self._look_at_failures(carrying)
         if not plan.tasks.done:
             self._warn("tasks.done lists no transition: no task is ever done")
         ends = [net.places[p].name for p in sorted(carrying) if not net.consumers[p]]
@@ -209,6 +210,20 @@ class ReactingChecks:
                 comes_in=list(plan.submissions),
                 decided_by="structure",
             )
+
+    def _look_at_failures(self, carrying: Set[int]) -> None:
+        """Warn where a failure fires a transition that is for cancelled tasks."""
+        for p in sorted(carrying):
+            place = self.net.places[p].name
+            fired = self.plan.failure_rule(place).transition
+            if fired in self.plan.cancellations:
+                self._warn(
+                    "a robot whose action fails in %s fires %s, which ends no task, and keeps its "
+                    "own until another one pushes it out; let on_failure try again, or fire a "
+                    "transition that leads into a queue" % (place, fired),
+                    transition=fired,
+                    places=[place],
+                )
 
     def _warn(self, text: str, **details: Any) -> None:
         self._list.add("tasks", Severity.WARNING, text, **details)

@@ -16,6 +16,7 @@ from gspn_framework_package.model.action import (
 )
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.event import EventSource, Tasks
+from gspn_framework_package.model.failure import FailureRule
 from gspn_framework_package.model.plan import Timing
 
 OK, WARNING, REFUSED = Severity.OK, Severity.WARNING, Severity.REFUSED
@@ -130,9 +131,8 @@ def couriers(done=("deliver",), on_evict=True, robots=2, **more):
     return plan_of(
         net,
         resource_places=frozenset(["orders"]),
-        tasks=Tasks(("orders",), done),
         on_evict={"Carry": {"orders": 1}} if on_evict else {},
-        **more,
+        **{"tasks": Tasks(("orders",), done), **more},
     )
 
 
@@ -156,6 +156,18 @@ def test_a_lost_robot_with_its_task():
     assert severity is WARNING and "a robot that is lost in Carry keeps its task" in text
     assert said(plan, "tasks", standalone=True)[0][0] is OK
     assert said(replace(plan, timing=Timing(evict_after=0)), "tasks")[0][0] is OK
+
+
+def test_a_robot_whose_action_fails_and_that_keeps_its_task():
+    plan = couriers(
+        tasks=Tasks(("orders",), ("deliver",), {"Carry": "give_up"}),
+        events={"give_up": EventSource()},
+    )
+    assert [severity for severity, _ in said(plan, "tasks")] == [OK]
+    failing = replace(plan, on_failure={"*": FailureRule.fire("give_up")})
+    ((severity, text),) = said(failing, "tasks")
+    assert severity is WARNING
+    assert text.startswith("a robot whose action fails in Carry fires give_up, which ends no task")
 
 
 @pytest.mark.long
