@@ -17,6 +17,7 @@ class MapNode(NamedTuple):
     :ivar restriction: which robots may be there; None for all.
     :ivar capacity: how many robots may be there, if the map specifies it.
     :ivar said: the node's data in the map, for the words in goals.
+    :ivar slots: poses (x, y, yaw) where robots stand that are there together (m, rad).
     """
 
     name: str
@@ -28,6 +29,7 @@ class MapNode(NamedTuple):
     restriction: Optional[Restriction] = None
     capacity: Optional[int] = None
     said: Mapping[str, Any] = {}
+    slots: Sequence[Tuple[float, float, float]] = ()
 
     def has_room_for_two(self, diameter: float) -> bool:
         """Whether two robots of a diameter (m) can be there, by the corners of its area (``verts``)

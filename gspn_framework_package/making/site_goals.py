@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import re
-from typing import Any, Dict, Mapping
+from typing import Any, Dict, Mapping, Optional
 
 from gspn_framework_package.making.site_elements import MapEdge, MapNode
 from gspn_framework_package.model.outcome import Outcome
 
 
-def drive_action(edge: MapEdge, node: MapNode, arrive: str) -> Dict[str, Any]:
-    """Return the action of an edge: the goal of the map, or one for move_base.
+def drive_action(
+    edge: MapEdge, node: MapNode, arrive: str, diameter: Optional[float] = None
+) -> Dict[str, Any]:
+    """Return the action of an edge: the goal of the map, or one for move_base; where it leads to a
+    node with slots, a function that drives to a free one.
 
     :param node: where the edge leads.
     :param arrive: the transition that fires when the robot has arrived.
+    :param diameter: of the robots (m); None if it is not known.
     """
+    if node.slots:
+        settings: Dict[str, Any] = {"slots": [*map(list, node.slots)], "then": arrive}
+        if diameter is not None:
+            settings["radius"] = diameter / 2
+        return {"function": "gspn_framework_package.world.parking.Park", "settings": settings}
     # in maps: move_base_msgs/MoveBaseGoal, nav2_msgs/action/Spin, nav2_msgs.action.Spin
     package, *_, name = re.split(r"[./]", edge.action_type)
     for ending in ("ActionGoal", "Action", "Goal"):

@@ -301,11 +301,13 @@ class _Reader:
 
     def _read_position(self, name: str, value: Any, where: List[KeyOrIndex]) -> None:
         tags: List[str] = []
+        slots: List[Tuple[float, float, float]] = []
         capacity = None
         if isinstance(value, dict):
             tags = self._tags(value.get("tags"), [*where, "tags"])
             capacity = self._capacity(value.get("capacity"), [*where, "capacity"])
-            known = {"name", "x", "y", "yaw", "tags", "capacity"}
+            slots = self._slots(value.get("slots", []), [*where, "slots"])
+            known = {"name", "x", "y", "yaw", "tags", "capacity", "slots"}
             self._note_unknown(value, known, "the node '%s'" % name, where)
             axes = [value.get(axis) for axis in "xy"]
             yaw = self._number(value.get("yaw", 0.0), [*where, "yaw"])
@@ -319,7 +321,18 @@ class _Reader:
         x, y = (self._number(axis, where) for axis in axes)
         turned = {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
         pose = {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turned}
-        self._add(MapNode(name, x, y, pose, tags=tags, capacity=capacity), where)
+        self._add(MapNode(name, x, y, pose, tags=tags, capacity=capacity, slots=slots), where)
+
+    def _slots(self, value: Any, where: List[KeyOrIndex]) -> List[Tuple[float, float, float]]:
+        if not isinstance(value, list) or not all(
+            isinstance(slot, list) and len(slot) in (2, 3) for slot in value
+        ):
+            raise self._document.error("no list of poses", where, "[[x, y, yaw], ...]")
+        found = []
+        for number, slot in enumerate(value):
+            x, y, yaw = (self._number(axis, [*where, number]) for axis in [*slot, 0.0][:3])
+            found.append((x, y, yaw))
+        return found
 
     def _note_unknown(
         self, value: Mapping[str, Any], known: Set[str], what: str, where: List[KeyOrIndex]

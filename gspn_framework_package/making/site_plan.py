@@ -186,7 +186,7 @@ class _Builder:
 
     def _limited(self) -> Dict[str, MapGroup]:
         tasks, found = self._tasks, {}
-        driven = set(self._moves)
+        driven, site_nodes = set(self._moves), self._team.site.nodes
         visited = dict.fromkeys([*(s.node for s in self._of("At")), *(to for _, to in self._moves)])
         for pair, edge in self._team.edges.items():
             capacity = tasks.capacity if edge.capacity is None else edge.capacity
@@ -195,13 +195,15 @@ class _Builder:
                 continue
             found["Free_%s_%s" % pair] = MapGroup((), [pair], capacity)
         for node in visited:
-            capacity = self._team.site.nodes[node].capacity
+            capacity, slots = site_nodes[node].capacity, len(site_nodes[node].slots)
             # robots with an empty battery are brought to a dock, even if it is occupied
             if capacity is None and not (tasks.battery and node in self._team.docks):
-                capacity = tasks.node_capacity
+                capacity = slots or tasks.node_capacity
             capacity = tasks.nodes.get(node, capacity)
             if capacity is None and node not in tasks.nodes:
                 capacity = self._capacity_by_size(node)
+            if slots and (capacity or len(self._robots)) > slots:
+                self._team.notes.append("%s has %d slots for more robots" % (node, slots))
             if capacity is not None:
                 found["Free_node_" + node] = MapGroup([node], (), capacity)
         if self._single and tasks.diameter is not None:
@@ -352,7 +354,7 @@ class _Builder:
         drive, arrive = named("Drive", a, b, suffix), named("Arrive", a, b, suffix)
         drain = named("Drain", a, b, suffix)
         held = self._held(a, b)
-        ros = drive_action(edge, self._team.site.nodes[b], arrive)
+        ros = drive_action(edge, self._team.site.nodes[b], arrive, self._tasks.diameter)
         self._act(drive, seconds, ros, 0, self._draw.along(a, b, suffix, 0.48))
         self._given(drive, held)
         there = self._arrival(a, b, suffix)

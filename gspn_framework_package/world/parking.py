@@ -19,16 +19,20 @@ class Park:
 
     :param slots: poses ``[x, y, yaw]`` in the map, in metres and radians.
     :param radius: radius of a robot, in metres.
+    :param then: the transition that follows; by default the policy, or the place's only one.
     """
 
-    def __init__(self, slots: Sequence[Sequence[float]], radius: float = 0.105) -> None:
+    def __init__(
+        self, slots: Sequence[Sequence[float]], radius: float = 0.105, then: str = ""
+    ) -> None:
         self._slots = [Pose(*(float(number) for number in slot)) for slot in slots]
         self._radius = radius
+        self._then = then
 
     def __call__(
         self, place: str, robot: str, feedback: Feedback, is_cancelled: IsCancelled
     ) -> Optional[str]:
-        """Park; the policy, or the place's only transition, follows."""
+        """Park; what is to follow does."""
         client = client_of(robot)
         client.connect(thermometer=False)
         steps = self._steps(client)
@@ -37,4 +41,4 @@ class Park:
     def _steps(self, client: patrol.Robot) -> patrol.ActionSteps:
         first = patrol.preferred_slot(client.name)
         yield from patrol.park(client, self._slots, first, self._radius)
-        return None
+        return self._then or None

@@ -13,6 +13,7 @@ from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.analysis.state_space.space import explore
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.making.site_plan import SitePlan, build_site_plan
+from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.testing import Scenario
@@ -222,3 +223,29 @@ def test_a_parking_where_nobody_gets_is_an_error(tmp_path: Path) -> None:
     text = HALLS.replace("east: [10, 0]", "east: [10, 0], far: [20, 0]")
     with pytest.raises(InputError, match="to node 'far', where robots are to park"):
         built(tmp_path, text, {**BOTH_ENDS, "parking": ["far"]})
+
+
+def test_robots_in_one_node_have_a_slot_each(tmp_path: Path) -> None:
+    text = HALLS.replace("[5, 0]", "{x: 5, y: 0, slots: [[5, 1], [5, -1, 1.5]]}")
+    made = built(tmp_path, text, {**BOTH_ENDS, "diameter": 0.4}, robots=1)
+    assert made.limits["Free_node_mid"].capacity == 2
+    assert not [note for note in made.notes if "slot" in note]
+    ros = read_plan(str(tmp_path / "made" / "plan_ros.json"))
+    action = ros.actions["Drive_west_mid"]
+    assert isinstance(action, FunctionAction)
+    slots = [[5.0, 1.0, 0.0], [5.0, -1.0, 1.5]]
+    assert action.settings == {"slots": slots, "then": "Arrive_west_mid", "radius": 0.2}
+
+
+def test_a_node_with_too_few_slots_is_noted(tmp_path: Path) -> None:
+    text = HALLS.replace("[5, 0]", "{x: 5, y: 0, capacity: 3, slots: [[5, 1]]}")
+    assert "mid has 1 slots for more robots" in built(tmp_path, text, BOTH_ENDS).notes
+
+
+@pytest.mark.parametrize("slots", ["[5, 1]", "[[5]]", "[[5, east]]", "yes"])
+def test_a_slot_that_is_no_pose_is_refused(tmp_path: Path, slots: str) -> None:
+    text = HALLS.replace("[5, 0]", "{x: 5, y: 0, slots: %s}" % slots)
+    with pytest.raises(InputError) as caught:
+        built(tmp_path, text, BOTH_ENDS)
+    assert caught.value.file == str(tmp_path / "map.yaml")
+    assert "mid" in caught.value.element
