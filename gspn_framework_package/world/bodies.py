@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import faulthandler
 import math
+import multiprocessing
 import os
 import sys
-from typing import Any, Iterator, Tuple
+import tempfile
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any, Callable, Iterator, Tuple
 
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.world.room import Cylinder, Obstacle, Person, Pose, RobotType, Room
@@ -34,6 +39,28 @@ def quiet(stream: int) -> Iterator[None]:
 with quiet(2):
     import pybullet
     from pybullet_utils.bullet_client import BulletClient
+
+
+def call_apart(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a function in a process of its own, since PyBullet ends the process where a mesh is not
+    what it expects.
+
+    :param function: of a module; its temporary files are removed even if its process is ended.
+    :returns: what the function returns; None if its process was ended.
+    """
+    fork = multiprocessing.get_context("fork")
+    with tempfile.TemporaryDirectory(prefix="gspn_") as folder, ProcessPoolExecutor(
+        1, fork, _begin_process, (folder,)
+    ) as other:
+        try:
+            return other.submit(function, *arguments).result()
+        except BrokenProcessPool:
+            return None
+
+
+def _begin_process(folder: str) -> None:
+    faulthandler.disable()  # it would tell of the crash
+    tempfile.tempdir = folder
 
 
 def connect_bullet(gui: bool) -> BulletClient:

@@ -13,7 +13,7 @@ from gspn_framework_package.formats.source import open_file
 from gspn_framework_package.formats.yaml_file import YamlDocument, is_finite_number, read_yaml
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.world.grid import merged_boxes
-from gspn_framework_package.world.room import Box
+from gspn_framework_package.world.room import ROBOT_TYPES, Box
 from gspn_framework_package.world.room_check import LARGEST_FLOOR
 
 _KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode")
@@ -38,6 +38,13 @@ def read_occupancy_map(file: str) -> List[Box]:
             "with cells of %g m the map is %.0f m x %.0f m" % (resolution, *size),
             ["resolution"],
             "up to %.0f square metres can be simulated" % LARGEST_FLOOR,
+        )
+    narrowest = 2 * min(kind.radius for kind in ROBOT_TYPES.values())
+    if min(size) < narrowest:
+        raise document.error(
+            "with cells of %g m the map is %.2g m x %.2g m" % (resolution, *size),
+            ["resolution"],
+            "no robot fits into that",
         )
     x, y, yaw = (float(value) for value in data["origin"])
     cos, sin = math.cos(yaw), math.sin(yaw)

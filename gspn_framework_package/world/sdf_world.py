@@ -49,19 +49,24 @@ def read_world(file: str) -> Tuple[List[Obstacle], List[str]]:
     for name in ("actor", "population", "road"):
         for element in all_of(world, name):
             raise place.error("<%s> is not read" % name, element, "remove it from the world")
-    for model, there in _models(world, place, moved, 0):
+    for model, there, static in _models(world, place, moved, 0):
+        if not static:
+            notes.append("%s can be pushed in Gazebo; here it stands still" % there.names[-1])
         solids += _read_model(model, there, notes)
     return solids, notes
 
 
 def _models(
     parent: etree._Element, place: ShapePlace, moved: Dict[str, etree._Element], level: int
-) -> Iterator[Tuple[etree._Element, ShapePlace]]:
-    """The models in an element, also those included from other files and those in models."""
+) -> Iterator[Tuple[etree._Element, ShapePlace, bool]]:
+    """The models in an element, also those included from other files and those in models; and
+    whether Gazebo would let nobody push them."""
     if level > _MOST_LEVELS:
         raise place.error("models include each other too deeply", parent)
     for element in parent:
         kind = tag(element)
+        if element.get("placement_frame") or child(element, "placement_frame") is not None:
+            raise place.error("a model with 'placement_frame' is not read", element)
         if kind == "include":
             found = _included(element, place)
             if found is None:
@@ -77,7 +82,8 @@ def _models(
         if name in moved:  # where Gazebo had it when the world was saved
             own = pose_of(moved[name], place)
         there = ShapePlace(path, (*place.names, "model '%s'" % name), place.pose @ own)
-        yield model, there
+        static = text_of(element, "static") or text_of(model, "static") or "false"
+        yield model, there, static in ("true", "1")
         yield from _models(model, there, {}, level + 1)
 
 
@@ -96,8 +102,6 @@ def _included(element: etree._Element, place: ShapePlace) -> Optional[Tuple[etre
 
 
 def _read_model(model: etree._Element, place: ShapePlace, notes: List[str]) -> List[Obstacle]:
-    if (text_of(model, "static") or "false") not in ("true", "1"):
-        notes.append("%s can be pushed in Gazebo; here it stands still" % place.names[-1])
     solids: List[Obstacle] = []
     for link in all_of(model, "link"):
         in_link = place.inner(link)

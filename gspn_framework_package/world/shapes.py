@@ -7,13 +7,9 @@ of a robot.
 
 from __future__ import annotations
 
-import faulthandler
 import math
-import multiprocessing
 import os
 import tempfile
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, List, NamedTuple, Optional, Tuple
 from xml.sax.saxutils import quoteattr
@@ -22,9 +18,16 @@ import numpy as np
 
 from gspn_framework_package.formats.xml_tree import attributes, child, line_of, tag, text_of
 from gspn_framework_package.model.errors import InputError
-from gspn_framework_package.world.bodies import BODY_BOTTOM, BODY_HEIGHT, connect_bullet, quiet
+from gspn_framework_package.world.bodies import (
+    BODY_BOTTOM,
+    BODY_HEIGHT,
+    call_apart,
+    connect_bullet,
+    quiet,
+)
 from gspn_framework_package.world.grid import merged_boxes
 from gspn_framework_package.world.room import Box, Cylinder, Obstacle
+from gspn_framework_package.world.room_check import LARGEST_FLOOR
 
 if TYPE_CHECKING:
     from lxml import etree
@@ -181,6 +184,8 @@ def _read_mesh(shape: etree._Element, place: ShapePlace) -> Optional[List[Obstac
     file = os.path.abspath(resolve(text_of(shape, "uri") or "", place, shape))
     element = child(shape, "scale")
     scale = (1.0, 1.0, 1.0) if element is None else tuple(numbers_in(element, 3, place))
+    if 0.0 in scale:
+        raise place.error("its <scale> is 0", shape)
     return _hit(
         place, shape, '<mesh filename=%s scale="%r %r %r"/>' % (quoteattr(file), *scale), file
     )
@@ -194,12 +199,10 @@ def _hit(
     :param geometry: the shape, as an element of URDF.
     :param file: of the mesh.
     """
-    # in a process of its own: PyBullet ends it where a .dae is not what it expects
-    with ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as other:
-        try:
-            boxes = other.submit(_hit_boxes, geometry, place.pose).result()
-        except BrokenProcessPool:
-            boxes = None
+    try:
+        boxes = call_apart(_hit_boxes, geometry, place.pose)
+    except ValueError as error:
+        raise place.error(str(error), shape) from None
     if boxes is None:
         raise place.error(
             "PyBullet does not load %s" % file,
@@ -210,8 +213,10 @@ def _hit(
 
 
 def _hit_boxes(geometry: str, pose: np.ndarray) -> Optional[List[Box]]:
-    """Boxes where rays hit a shape; None if PyBullet does not load it."""
-    faulthandler.disable()
+    """Boxes where rays hit a shape; None if PyBullet does not load it.
+
+    :raises ValueError: it is larger than a room.
+    """
     client = connect_bullet(False)
     collision = '<collision concave="yes"><geometry>%s</geometry></collision>' % geometry
     with tempfile.NamedTemporaryFile("w", suffix=".urdf") as urdf, quiet(1), quiet(2):
@@ -227,7 +232,11 @@ def _hit_boxes(geometry: str, pose: np.ndarray) -> Optional[List[Box]]:
     low, high = (np.array(corner) for corner in client.getAABB(body))
     if _out_of_reach(low[2], high[2]):
         return []
-    return _hit_cells(client, np.floor(low / CELL) - 1, np.ceil(high / CELL) + 1)
+    south_west, north_east = np.floor(low / CELL) - 1, np.ceil(high / CELL) + 1
+    wide, deep = (north_east - south_west)[:2] * CELL
+    if wide * deep > LARGEST_FLOOR:
+        raise ValueError("it is too large for a room: %.0f m x %.0f m" % (wide, deep))
+    return _hit_cells(client, south_west, north_east)
 
 
 def _quaternion(client: Any, pose: np.ndarray) -> List[float]:

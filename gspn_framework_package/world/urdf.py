@@ -155,8 +155,41 @@ def numbers(
     except ValueError:
         values = []
     if len(values) != count or not all(map(math.isfinite, values)):
-        message = "the %s of its <%s> is not %d numbers" % (key, tag(element), count)
-        raise urdf.error(message, named)
+        meant = "a number" if count == 1 else "%d numbers" % count
+        raise urdf.error("the %s of its <%s> is not %s" % (key, tag(element), meant), named)
+    return values
+
+
+def mass_of(urdf: Urdf, link: etree._Element) -> float:
+    """The mass of a link, kg; 0 if it states none.
+
+    :raises InputError: its ``<inertial>`` is not complete.
+    """
+    inertial = child(link, "inertial")
+    if inertial is None:
+        return 0.0
+    _origin(urdf, inertial, link)
+    mass, inertia = (_part(urdf, inertial, name, link) for name in ("mass", "inertia"))
+    for key in ("ixx", "iyy", "izz"):
+        _positive(urdf, inertia, key, 1, link)
+    for key in ("ixy", "ixz", "iyz"):
+        numbers(urdf, inertia, key, 1, link, "0")
+    return _positive(urdf, mass, "value", 1, link)[0]
+
+
+def _part(urdf: Urdf, parent: etree._Element, name: str, named: etree._Element) -> etree._Element:
+    found = child(parent, name)
+    if found is None:
+        raise urdf.error("its <%s> has no <%s>" % (tag(parent), name), named)
+    return found
+
+
+def _positive(
+    urdf: Urdf, element: etree._Element, key: str, count: int, named: etree._Element
+) -> List[float]:
+    values = numbers(urdf, element, key, count, named)
+    if min(values) <= 0.0:
+        raise urdf.error("the %s of its <%s> is not more than 0" % (key, tag(element)), named)
     return values
 
 
@@ -221,7 +254,7 @@ def collision_shapes(urdf: Urdf, pose: np.ndarray) -> List[Tuple[etree._Element,
             elif tag(shape) in _SIZES:
                 keys, count = _SIZES[tag(shape)]
                 for key in keys.split():
-                    numbers(urdf, shape, key, count, link)
+                    _positive(urdf, shape, key, count, link)
                     etree.SubElement(written, key).text = shape.get(key)
             found.append((written, ShapePlace(urdf.file, ("link '%s'" % name,), there)))
     return found

@@ -7,27 +7,35 @@ held where it is, and slides.
 from __future__ import annotations
 
 import copy
-import faulthandler
 import math
-import multiprocessing
 import tempfile
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
-from typing import Any, Dict, Mapping, NamedTuple, Tuple
+from typing import Any, Dict, List, Mapping, NamedTuple, Tuple
 
 import numpy as np
 
 from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.formats.xml_tree import all_of, child, tag
 from gspn_framework_package.model.errors import InputError
-from gspn_framework_package.world.bodies import connect_bullet, quiet
+from gspn_framework_package.world.bodies import call_apart, connect_bullet, quiet
 from gspn_framework_package.world.room import Pose, RobotType
 from gspn_framework_package.world.shapes import matrix, read_shape
-from gspn_framework_package.world.urdf import Urdf, UrdfJoint, collision_shapes, numbers, read_urdf
+from gspn_framework_package.world.urdf import (
+    Urdf,
+    UrdfJoint,
+    collision_shapes,
+    mass_of,
+    numbers,
+    read_urdf,
+)
 
 _MOST_OFFSET = 0.005
 """Metres that the axis of the wheels may be away from the origin of the robot."""
+
+_NO_MASS = (
+    '<inertial><mass value="1e-6"/>'
+    '<inertia ixx="1e-9" iyy="1e-9" izz="1e-9" ixy="0" ixz="0" iyz="0"/></inertial>'
+)
 
 
 def measured(kind: RobotType, given: Mapping[str, Any]) -> RobotType:
@@ -46,10 +54,13 @@ def measured(kind: RobotType, given: Mapping[str, Any]) -> RobotType:
             left.element,
             "the origin of the first link is between them; wheel_joints names left, then right",
         )
-    masses = [child(part, "mass") for part in urdf.root.iter("inertial")]
+    masses = {name: mass_of(urdf, link) for name, link in urdf.links.items()}
+    if not any(masses[name] for name in _base_links(urdf)):
+        first = urdf.links[next(iter(urdf.poses))]
+        raise urdf.error("neither it nor what is fixed to it has an <inertial>", first)
     found: Dict[str, Any] = {
         "wheel_separation": float(at[0][1] - at[1][1]),
-        "mass": sum(float(mass.get("value", 0.0)) for mass in masses if mass is not None),
+        "mass": sum(masses.values()),
         "wheel_radius": _wheel_radius(urdf, left),
         **given,
     }
@@ -66,6 +77,17 @@ def measured(kind: RobotType, given: Mapping[str, Any]) -> RobotType:
     return kind
 
 
+def _base_links(urdf: Urdf) -> List[str]:
+    """The first link, and all that are fixed to it."""
+    found: List[str] = []
+    joints = {joint.child: joint for joint in urdf.joints.values()}
+    for name in urdf.poses:  # parents come before children
+        joint = joints.get(name)
+        if joint is None or (joint.kind == "fixed" and joint.parent in found):
+            found.append(name)
+    return found
+
+
 def _wheel(urdf: Urdf, name: str) -> UrdfJoint:
     joint = urdf.joints.get(name)
     if joint is None:
@@ -79,9 +101,8 @@ def _wheel(urdf: Urdf, name: str) -> UrdfJoint:
     if abs(_forward(urdf, joint)) < 0.99:
         raise urdf.error("its axis is not across the robot", joint.element)
     link = urdf.links[joint.child]
-    inertial = child(link, "inertial")
-    if inertial is None or child(inertial, "mass") is None:
-        raise urdf.error("it has no <inertial> with a <mass>", link)
+    if not mass_of(urdf, link):
+        raise urdf.error("it has no <inertial>", link)
     return joint
 
 
@@ -109,6 +130,10 @@ def _reach(urdf: Urdf, height: float) -> float:
     """The radius of the circle around its collision shapes."""
     far = [0.0]
     for shape, place in collision_shapes(urdf, matrix(0.0, 0.0, height, 0.0, 0.0, 0.0)):
+        if tag(shape) not in ("box", "cylinder", "sphere"):
+            for solid in read_shape(shape, place) or []:
+                far += [math.hypot(*corner) for corner in solid.corners()]
+            continue
         sizes = [float(word) for part in shape for word in (part.text or "").split()]
         if tag(shape) == "sphere":
             far.append(float(np.hypot(*place.pose[:2, 3])) + sizes[0])
@@ -116,15 +141,11 @@ def _reach(urdf: Urdf, height: float) -> float:
         if tag(shape) == "box":
             halves = [(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
             points = np.array(halves) * sizes
-        elif tag(shape) == "cylinder":
+        else:
             radius, length = sizes
             turned = np.linspace(0.0, math.tau, 73)
             rim = np.stack([radius * np.cos(turned), radius * np.sin(turned), 0 * turned], axis=1)
             points = np.concatenate([rim + [0, 0, length / 2], rim - [0, 0, length / 2]])
-        else:
-            for solid in read_shape(shape, place) or []:
-                far += [math.hypot(*corner) for corner in solid.corners()]
-            continue
         far.append(
             float(np.hypot(*(points @ place.pose[:3, :3].T + place.pose[:3, 3]).T[:2]).max())
         )
@@ -170,6 +191,10 @@ def _load(client: Any, urdf: Urdf, kind: RobotType, pose: Pose) -> int:
     for joint in all_of(root, "joint"):
         if joint.get("name") not in kind.wheel_joints:
             joint.set("type", "fixed")
+    for link in all_of(root, "link"):
+        if child(link, "inertial") is None:
+            # PyBullet would take 1 kg, and an inertia of 1 kg m2
+            link.append(etree.fromstring(_NO_MASS))
     with tempfile.NamedTemporaryFile("wb", suffix=".urdf") as file:
         file.write(etree.tostring(root))
         file.flush()
@@ -185,22 +210,13 @@ def _load(client: Any, urdf: Urdf, kind: RobotType, pose: Pose) -> int:
 
 
 def _try_loading(urdf: Urdf, kind: RobotType) -> None:
-    """Load it in a process of its own: PyBullet ends it where a mesh is not what it expects.
-
-    :raises InputError: PyBullet does not load it.
-    """
-    with ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as other:
-        try:
-            loaded = other.submit(_loads, kind).result()
-        except BrokenProcessPool:
-            loaded = False
-    if not loaded:
+    """Load it on trial. :raises InputError: PyBullet does not load it."""
+    if not call_apart(_loads, kind):
         hint = "it loads meshes of .dae, .obj and binary .stl"
         raise InputError("PyBullet does not load it", file=urdf.file, hint=hint)
 
 
 def _loads(kind: RobotType) -> bool:
-    faulthandler.disable()
     client = connect_bullet(False)
     try:
         make_urdf_robot(client, kind, Pose(0.0, 0.0))

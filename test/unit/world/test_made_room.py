@@ -3,6 +3,7 @@
 import json
 import math
 import struct
+import tempfile
 
 import numpy as np
 import pytest
@@ -97,6 +98,7 @@ def test_a_map_may_be_turned_and_negated(tmp_path):
         ({"resolution": 10**400}, "resolution", "is not a resolution"),
         ({"resolution": "fine"}, "resolution", "'fine' is not a resolution"),
         ({"resolution": 5.0}, "resolution", "the map is 410 m x 210 m"),
+        ({"resolution": 5e-4}, "resolution", "the map is 0.041 m x 0.021 m (no robot fits"),
         ({"origin": [0, 0]}, "origin", "pose"),
         ({"negate": 2}, "negate", "neither 0 nor 1"),
         ({"occupied_thresh": 65}, "occupied_thresh", "from 0 to 1"),
@@ -243,12 +245,17 @@ def test_models_are_found_by_their_names_and_stand_where_gazebo_saved_them(tmp_p
     folder = tmp_path / "models" / "pillar"
     folder.mkdir(parents=True)
     pillar = "<cylinder><radius>0.1</radius><length>1</length></cylinder>"
-    (folder / "model.sdf").write_text("<sdf version='1.6'>" + a_model(pillar) + "</sdf>")
+    model = a_model(pillar, static="false")
+    (folder / "model.sdf").write_text("<sdf version='1.6'>" + model + "</sdf>")
     monkeypatch.setenv("GAZEBO_MODEL_PATH", str(tmp_path / "models"))
-    include = "<include><uri>model://pillar</uri><name>%s</name><pose>%s 0 0 0 0 0</pose></include>"
+    include = (
+        "<include><uri>model://pillar</uri><name>%s</name><pose>%s 0 0 0 0 0</pose>%s</include>"
+    )
     state = "<state><model name='two'><pose>7 0 0 0 0 0</pose></model></state>"
-    found, _ = solids(tmp_path, include % ("one", 1), include % ("two", 2), around=state)
+    one = include % ("one", 1, "<static>true</static>")
+    found, notes = solids(tmp_path, one, include % ("two", 2, ""), around=state)
     assert [solid.at for solid in found] == [(1.0, 0.0), (7.0, 0.0)]
+    assert [note.split(" can ")[0] for note in notes] == ["model 'two'"]
 
 
 @pytest.mark.parametrize(
@@ -262,6 +269,8 @@ def test_models_are_found_by_their_names_and_stand_where_gazebo_saved_them(tmp_p
         (a_model(MESH % "none.obj"), 13, "there is no 'none.obj'"),
         (a_model(MESH % "hall.world"), 13, "PyBullet does not load"),
         (a_model(MESH % "bad.dae"), 13, "PyBullet does not load"),
+        (a_model(MESH[:-7] % "bad.dae" + "<scale>1 0 1</scale></mesh>"), 13, "is 0"),
+        (a_model("<box><size>1e9 1 1</size></box>", "0 0 0 1 0 0"), 13, "too large for a room"),
         (a_model("<box><size>1 1</size></box>"), 13, "<size> has not 3 numbers"),
         (a_model("<box><size>1 0 1</size></box>"), 13, "<size> is not more than 0"),
         (a_model("<sphere/>"), 13, "<radius> is missing"),
@@ -273,16 +282,23 @@ def test_models_are_found_by_their_names_and_stand_where_gazebo_saved_them(tmp_p
             "a pose with 'relative_to'",
         ),
         ("<include><uri>model://no_such</uri></include>", 7, "there is no 'model://no_such'"),
+        ("<model name='m' placement_frame='l'/>", 7, "'placement_frame' is not read"),
         ("<actor name='walker'/>", 7, "<actor> is not read"),
     ],
 )
-def test_what_cannot_be_read_is_named_and_nothing_is_written(tmp_path, capsys, model, line, words):
+def test_what_cannot_be_read_is_named_and_nothing_is_written(
+    tmp_path, capsys, monkeypatch, model, line, words
+):
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     (tmp_path / "bad.dae").write_text("<COLLADA/>")
     file = a_world(tmp_path, a_model("<plane/>").replace("\n", ""), model)
     assert main(["room", file, "-o", str(tmp_path / "room.yaml")]) == 2
     told = capsys.readouterr()
     assert "%s:%d: " % (file, line) in told.err and words in told.err, told.err
     assert told.out == "" and not (tmp_path / "room.yaml").exists()
+    assert not list(temporary.iterdir())
 
 
 def test_a_world_becomes_a_room(tmp_path, capsys):

@@ -39,6 +39,7 @@ CART = """<robot name="cart">
     ' iyz="0"/></inertial><collision><geometry><cylinder radius="0.05" length="0.03"/></geometry>'
     "</collision>"
 }
+INERTIAL = CART[CART.index("<inertial>") : CART.index("</inertial>") + len("</inertial>")]
 WHEELS = "robot: {urdf: cart.urdf, wheel_joints: [to_left, to_right]}\n"
 
 
@@ -82,13 +83,39 @@ def test_a_robot_of_ones_own_drives_where_it_is_sent(tmp_path):
         team.close()
 
 
+def test_a_link_without_inertial_adds_no_mass_and_a_mesh_its_size(tmp_path):
+    foot = '<link name="foot"/><joint name="up" type="fixed"><parent link="foot"/><child link="base"/></joint>'
+    (tmp_path / "bar.obj").write_text(
+        "v -0.5 0 -0.02\nv 0.1 0 -0.02\nv 0.1 0 0.1\nv -0.5 0 0.1\nf 1 2 3\nf 1 3 4\n"
+    )
+    bar = '<mesh filename="bar.obj"/>'
+    cart = CART.replace('<link name="base">', foot + '<link name="base">')
+    team = DrivingTeam(room(tmp_path, cart.replace('<sphere radius="0.02"/>', bar, 1)), ["robot_1"])
+    try:
+        client = team.physics.client
+        bodies = [client.getBodyUniqueId(n) for n in range(client.getNumBodies())]
+        mass, _, inertia = max(client.getDynamicsInfo(body, -1)[:3] for body in bodies)
+        assert mass == pytest.approx(4.05, abs=1e-3)
+        assert max(inertia) == pytest.approx(0.061, abs=1e-3)
+        assert team.room.robot.radius == pytest.approx(0.65, abs=0.03)
+    finally:
+        team.close()
+
+
 @pytest.mark.parametrize(
     ("change", "robot", "said"),
     [
         (("<robot", "<sdf"), WHEELS, "cart.urdf"),
         (("", ""), "robot: {urdf: none.urdf}\n", "none.urdf"),
         (("", ""), "robot: {urdf: cart.urdf}\n", "no joint 'wheel_left_joint'"),
-        (('<mass value="0.2"/>', ""), WHEELS, "link 'left': it has no <inertial> with a <mass>"),
+        (('<mass value="0.2"/>', ""), WHEELS, "link 'left': its <inertial> has no <mass>"),
+        (('<mass value="4"/>', '<mass value="four"/>'), WHEELS, "<mass> is not a number"),
+        (('ixx="0.03"', ""), WHEELS, "link 'base': the ixx of its <inertia> is not a number"),
+        (('ixx="0.03"', 'ixx="0"'), WHEELS, "the ixx of its <inertia> is not more than 0"),
+        ((INERTIAL, ""), WHEELS, "link 'base': neither it nor what is fixed to it has"),
+        (('size="0.3 0.2 0.1"', 'size="0.3 -1 0.1"'), WHEELS, "the size of its <box> is not more"),
+        (('<sphere radius="0.02"/>', '<mesh filename="cart.urdf"/>'), WHEELS, "does not load"),
+        (('<sphere radius="0.02"/>', "<capsule/>"), WHEELS, "<capsule> is not read"),
         (('xyz="0 0.12 0"', 'xyz="0.1 0.12 0"'), WHEELS, "the wheels are at (0.1, 0.12)"),
         (('xyz="0 0.12 0" rpy="-1.5707963 0 0"', 'xyz="0 0.12 0"'), WHEELS, "not across"),
         (('<sphere radius="0.02"/>', '<mesh filename="a.stl"/>'), WHEELS, "no mesh 'a.stl'"),
