@@ -190,6 +190,11 @@ VERB_GROUPS: Dict[str, Dict[str, Verb]] = {
             "open the page on a recorded run: an event log, or a rosbag of fired_transitions",
             "replay run.jsonl",
         ),
+        "report": Verb(
+            ".report",
+            "tell the story of a recorded run: who waited for whom, and why",
+            "report run.jsonl -o report.html",
+        ),
         "verify": Verb(
             ".verify",
             "check the logs of a run against the rules, from the logs alone",

@@ -16,7 +16,7 @@ from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.firing import Ended, Fault, TaskEnded
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.replayer import Replayed, Replayer
-from gspn_framework_package.execution.team_state import reported_phase
+from gspn_framework_package.execution.team_state import RobotState, reported_phase
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.plan import Plan
 
@@ -27,7 +27,7 @@ USES = ("acting", "waiting", "paused", "failed", "resting")
 """The uses of time in a stay: its action runs; it waits for a transition; it is paused; its action
 failed for good; it has finished."""
 
-ALARM, _FAILURE, INTERVENTION = "alarm", "failure", "intervention"
+ALARM, ACTION_FAILURE, INTERVENTION = "alarm", "failure", "intervention"
 INTERRUPT, TASK, TASK_END, JOIN, END = "interrupt", "task", "task_end", "join", "end"
 """The kinds of moments."""
 
@@ -75,6 +75,20 @@ class Stay(NamedTuple):
     paused: int
     failed: int
     resting: int
+    left_by: str
+
+
+class Spell(NamedTuple):
+    """From ``begin`` to ``end`` (seconds on the follower's clock), ``robot`` spent its time in
+    ``place`` with one of :data:`USES`. ``left_by`` is the transition that ended the visit, "" if
+    the visit went on."""
+
+    robot: str
+    place: str
+    visit: int
+    use: str
+    begin: float
+    end: float
     left_by: str
 
 
@@ -146,6 +160,11 @@ class StayFollower:
             self._open = {name: _Open.from_json(data) for name, data in kept["open"].items()}
 
     @property
+    def game(self) -> TokenGame:
+        """The rules of the plan that the team now follows."""
+        return self._replayer.game
+
+    @property
     def next_slot(self) -> int:
         """The next slot."""
         return self._replayer.state.next_slot
@@ -157,6 +176,17 @@ class StayFollower:
             "now": self.now,
             "open": {name: stay.to_json() for name, stay in self._open.items()},
         }
+
+    # -- for subclasses ----------------------------------------------------------------------------
+
+    def began(self, robot: RobotState, use: str, step: Replayed) -> None:
+        """A robot spends its time otherwise from this slot on: with ``use`` of :data:`USES`."""
+
+    def spent(self, spell: Spell) -> None:
+        """A robot has spent its time alike; called before :meth:`followed` of the same slot."""
+
+    def followed(self, step: Replayed) -> None:
+        """All of a slot has been looked at."""
 
     # -- time --------------------------------------------------------------------------------------
 
@@ -218,7 +248,7 @@ class StayFollower:
             else:
                 touched.add(command.robot)
             if isinstance(command, Fault) and command.failed:  # before the robot goes on
-                self._moment(step.slot, command.robot, _FAILURE, command.failed)
+                self._moment(step.slot, command.robot, ACTION_FAILURE, command.failed)
         for entry in step.entries:
             touched.add(getattr(entry, "robot", ""))
             everybody = everybody or isinstance(entry, _OF_ALL)
@@ -241,6 +271,7 @@ class StayFollower:
                 self._alarm(step, command)
             elif isinstance(command, TaskEnded):
                 self._task_ended(step, command)
+        self.followed(step)
 
     def _entry(self, step: Replayed, entry: log_entries.Entry) -> None:
         robot = getattr(entry, "robot", "")
@@ -268,7 +299,7 @@ class StayFollower:
         robot = step.state.robots.get(fault.robot)
         phase = reported_phase(step.state, robot) if robot is not None else Phase.UNHEARD
         if not fault.failed or phase.report.needs_operator or step.state.fault:
-            place = self._replayer.game.net.places[robot.place].name if robot is not None else ""
+            place = self.game.net.places[robot.place].name if robot is not None else ""
             self._moment(step.slot, fault.robot, ALARM, fault.message, place)
 
     def _task_ended(self, step: Replayed, ended: TaskEnded) -> None:
@@ -291,7 +322,7 @@ class StayFollower:
         if robot is None or robot.phase.gone or step.state.ended is not None:
             self._leave(name)
             return
-        place = self._replayer.game.net.places[robot.place].name
+        place = self.game.net.places[robot.place].name
         stay = self._open.get(name)
         if stay is None or (stay.place, stay.visit) != (place, robot.visit):
             renamed = stay is not None and stay.visit == robot.visit
@@ -299,8 +330,9 @@ class StayFollower:
             stay = self._arrive(name, place, robot.visit, step.slot, arrived=not renamed)
         use = _use(reported_phase(step.state, robot))
         if use != stay.use:
-            stay.book(self._at())
+            self._spend(name, stay)
             stay.use = use
+            self.began(robot, USES[use], step)
 
     def _arrive(self, robot: str, place: str, visit: int, slot: int, arrived: bool = True) -> _Open:
         stay = self._open[robot] = _Open(place, visit, slot, self._at(), arrived)
@@ -311,8 +343,14 @@ class StayFollower:
         if stay is not None:
             self._book(robot, stay, transition)
 
-    def _book(self, robot: str, stay: _Open, transition: str) -> None:
+    def _spend(self, robot: str, stay: _Open, transition: str = "") -> None:
+        begin, use = stay.since, USES[stay.use]
         stay.book(self._at())
+        if stay.since > begin:
+            self.spent(Spell(robot, stay.place, stay.visit, use, begin, stay.since, transition))
+
+    def _book(self, robot: str, stay: _Open, transition: str) -> None:
+        self._spend(robot, stay, transition)
         if stay.arrived or transition or any(stay.spent):
             begun = stay.begin, robot, stay.place, stay.visit, stay.slot, stay.arrived
             self.stays.append(Stay._make((*begun, *stay.spent, transition)))
