@@ -6,34 +6,41 @@ It is written here; a test compares it with the routes of the application.
 from __future__ import annotations
 
 import re
-from typing import Any, Dict, List, Mapping, NamedTuple, Sequence, Tuple
+from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
 
 from gspn_framework_package.visualizer.editing.palette import TYPED
 from gspn_framework_package.visualizer.guard import HEADER, TOKEN_HEADER
+from gspn_framework_package.visualizer.named_schemas import (
+    ANALYSIS_FIELDS,
+    BOARD,
+    CHANGES,
+    EDITORS,
+    EPOCH,
+    NAMED_SCHEMAS,
+    SCENE,
+)
+from gspn_framework_package.visualizer.order_schemas import any_order
+from gspn_framework_package.visualizer.schemas import (
+    FLAG,
+    NAMES,
+    NUMBER,
+    OBJECT,
+    OBJECTS,
+    POINT,
+    TEXT,
+    WHOLE,
+    Schema,
+    component,
+    described_as,
+    list_with,
+    map_to,
+    object_with,
+    or_null,
+)
 
-API_VERSION = "1.1.0"
+API_VERSION = "1.2.0"
 """Version of the interface: the first number grows with each incompatible change, the second with
 each addition."""
-
-Schema = Dict[str, Any]
-
-TEXT: Schema = {"type": "string"}
-_WHOLE: Schema = {"type": "integer", "minimum": 0}
-FLAG: Schema = {"type": "boolean"}
-OBJECT: Schema = {"type": "object"}
-NAMES: Schema = {"type": "array", "items": TEXT}
-NUMBER: Schema = {"type": "number"}
-_COUNTS: Schema = {"type": "array", "items": _WHOLE}
-OBJECTS: Schema = {"type": "array", "items": OBJECT}
-_POINTS: Schema = {
-    "type": "object",
-    "additionalProperties": {"type": "array", "items": NUMBER},
-}
-
-
-def _or_null(schema: Schema) -> Schema:
-    return {**schema, "type": [schema["type"], "null"]}
-
 
 API_PARAMETERS: Dict[str, Tuple[Schema, str]] = {
     "id": (
@@ -41,13 +48,13 @@ API_PARAMETERS: Dict[str, Tuple[Schema, str]] = {
         "key of the open net, from /api/open; in /api/hello, 'first' is the one shown",
     ),
     "job": (TEXT, "the computation, as POST /api/analysis answered"),
-    "at": (_WHOLE, "number of an event"),
-    "plan": (_WHOLE, "number of a plan that the team followed; 0: the initial plan"),
-    "slot": (_WHOLE, "number of a slot of the log"),
-    "after": (_WHOLE, "number of the event after which to start"),
-    "to": (_WHOLE, "number of the last event"),
-    "limit": (_WHOLE, "maximum number"),
-    "from": (_WHOLE, "number of the first row"),
+    "at": (WHOLE, "number of an event"),
+    "plan": (WHOLE, "number of a plan that the team followed; 0: the initial plan"),
+    "slot": (WHOLE, "number of a slot of the log"),
+    "after": (WHOLE, "number of the event after which to start"),
+    "to": (WHOLE, "number of the last event"),
+    "limit": (WHOLE, "maximum number"),
+    "from": (WHOLE, "number of the first row"),
     "since": (
         TEXT,
         "for news: the cursor of the last answer; without it, the whole board comes first. For the "
@@ -71,69 +78,27 @@ class ApiOperation(NamedTuple):
     :ivar about: what it does, as one sentence.
     :ivar query: names of its parameters; with a question mark if optional.
     :ivar body: the fields of its JSON object, with their schemas; with a question mark if optional.
-    :ivar answer: the fields of its answer, likewise; empty if it only confirms.
+        None for an order, which has a schema of its own for each command.
+    :ivar answer: the fields of its answer, likewise; empty if it only confirms. A text is the name
+        of a schema in :data:`NAMED_SCHEMAS`.
     :ivar media: the type of its answer.
+    :ivar sends: of a stream: event -> the name of the schema of its data, JSON in one line; the
+        event "" has no name.
     """
 
     name: str
     about: str
     query: Sequence[str] = ()
-    body: Mapping[str, Schema] = {}
-    answer: Mapping[str, Schema] = {}
+    body: Optional[Mapping[str, Schema]] = {}
+    answer: Union[str, Mapping[str, Schema]] = {}
     media: str = "application/json"
+    sends: Mapping[str, str] = {}
 
 
-def _object(fields: Mapping[str, Schema]) -> Schema:
-    """An object with these fields, and perhaps others."""
-    return {
-        "type": "object",
-        "properties": {name.rstrip("?"): schema for name, schema in fields.items()},
-        "required": [name for name in fields if not name.endswith("?")],
-    }
-
-
-def _list(fields: Mapping[str, Schema]) -> Schema:
-    return {"type": "array", "items": _object(fields)}
-
-
-EDITORS: Dict[str, Schema] = {
-    "version": TEXT,
-    "editors": _list({"page": TEXT, "number": _WHOLE, "selection": NAMES}),
-}
-
-BOARD = _object(
-    {
-        "n": _WHOLE,
-        "t": NUMBER,
-        "marking": _COUNTS,
-        "enabled": _COUNTS,
-        "counts": _COUNTS,
-        "robots": _list({"name": TEXT, "place?": {"type": "integer"}, "phase?": TEXT}),
-        "notes": OBJECTS,
-        "status": OBJECT,
-        "data?": OBJECT,
-        "plan?": _WHOLE,
-    }
-)
-_NODES = _list({"name": TEXT})
-SCENE = _object(
-    {
-        "name": TEXT,
-        "hash": TEXT,
-        "places": _NODES,
-        "transitions": _NODES,
-        "arcs": {"type": "array", "items": _COUNTS},
-        "layout": OBJECT,
-        "subnets": OBJECTS,
-        "plan": _or_null(OBJECT),
-    }
-)
-CHANGES = _list({"kind": TEXT, "name": TEXT, "what": TEXT})
 NEW_PLAN = {"path": TEXT, "id": TEXT}
 SHARED: Dict[str, Schema] = {"version?": TEXT, "page?": TEXT}
 DOCUMENT = {"document": OBJECT}
 CHECKED = {**DOCUMENT, "page?": TEXT}
-EPOCH = {"epoch": TEXT}
 HISTORY = ("since?", "until?", "robot?", "place?")
 
 API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
@@ -152,8 +117,8 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
             "version": TEXT,
             "role": {**TEXT, "enum": ["operator", "viewer"]},
             "orders": OBJECT,
-            "first": _or_null(TEXT),
-            "files": _list({"path": TEXT, "kind": TEXT}),
+            "first": or_null(TEXT),
+            "files": list_with({"path": TEXT, "kind": TEXT}),
         },
     ),
     ("POST", "/api/open"): ApiOperation(
@@ -185,21 +150,19 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ),
     ("POST", "/api/do"): ApiOperation(
         "command",
-        "Give an order to the simulation, the run or the team. The field 'info' of the first "
-        "answer of /api/poll lists the commands; further fields depend on the command, and for "
-        "orders to a team they are in the 'orders' of /api/hello. With 'run' it is refused if "
-        "another run is shown.",
+        "Give an order to the simulation, the run or the team. Which are possible, the field "
+        "'commands' of the 'info' of a snapshot says.",
         ("id",),
-        {"command": TEXT, "run?": TEXT},
+        None,
         {
-            "message?": TEXT,
-            "fired?": _WHOLE,
-            "dead?": FLAG,
-            "back?": _WHOLE,
-            "engine?": TEXT,
-            "places?": {"type": "array", "items": {"type": "array", "items": NUMBER}},
-            "transitions?": {"type": "array", "items": {"type": "array", "items": NUMBER}},
-            "routes?": OBJECT,
+            "message?": described_as(TEXT, "of an order to a run or a team: what was done"),
+            "fired?": described_as(WHOLE, "of step and fire: how many transitions fired"),
+            "dead?": described_as(FLAG, "of step: whether none can fire any more"),
+            "back?": described_as(WHOLE, "of back: how many firings were undone"),
+            "engine?": described_as(TEXT, "of layout: what computed it"),
+            "places?": described_as({"type": "array", "items": POINT}, "of layout: positions"),
+            "transitions?": described_as({"type": "array", "items": POINT}, "of layout: positions"),
+            "routes?": described_as(OBJECT, "of layout: the courses of arcs"),
         },
     ),
     ("GET", "/api/state"): ApiOperation(
@@ -215,47 +178,40 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         "reasons",
         "Why a transition cannot fire.",
         ("id", "transition", "at?"),
-        answer={"transition": TEXT, "enabled": FLAG, "reasons": NAMES, "at": _WHOLE},
+        answer={"transition": TEXT, "enabled": FLAG, "reasons": NAMES, "at": WHOLE},
     ),
     ("GET", "/api/slot"): ApiOperation(
         "after_slot",
         "The first event after a slot of the log.",
         ("id", "slot"),
-        answer={**EPOCH, "event": _or_null(_WHOLE)},
+        answer={**EPOCH, "event": or_null(WHOLE)},
     ),
     ("GET", "/api/events"): ApiOperation(
         "events",
         "Past events.",
         ("id", "after", "to", "limit?"),
-        answer={**EPOCH, "events": _list({"n": _WHOLE, "t": NUMBER, "k": TEXT})},
+        answer={**EPOCH, "events": list_with({"n": WHOLE, "t": NUMBER, "k": TEXT})},
     ),
     ("GET", "/api/poll"): ApiOperation(
         "poll",
         "News since a cursor: first a snapshot of the board, then events.",
         ("id", "since?"),
-        answer={
-            "cursor": TEXT,
-            "snapshot?": _object(
-                {**EPOCH, "mode": TEXT, "info": OBJECT, "oldest": _WHOLE, "board": BOARD}
-            ),
-            "events?": _list({"n": _WHOLE, "t": NUMBER, "k": TEXT}),
-            "latest?": OBJECT,
-            "more?": FLAG,
-        },
+        answer="News",
     ),
     ("GET", "/api/stream"): ApiOperation(
         "stream",
         "The same as server-sent events; Last-Event-ID resumes. 503 if there are too many viewers.",
         ("id", "since?"),
         media="text/event-stream",
+        sends={"": "News", "ping": "Ping", "closed": "Closed"},
     ),
     ("POST", "/api/analysis"): ApiOperation(
         "analyse",
         "Start a computation for the present marking, or that after an event: an analysis, a "
         "question about all markings, a simulation, a sweep, or a policy.",
         ("id",),
-        {"event?": _WHOLE},
-        {"job": TEXT, "event": _WHOLE},
+        ANALYSIS_FIELDS,
+        {"job": TEXT, "event": WHOLE},
     ),
     ("GET", "/api/analysis/{job}"): ApiOperation(
         "analysis_progress",
@@ -264,9 +220,9 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
             "state": TEXT,
             "seconds": NUMBER,
             "progress": {},
-            "result": _or_null(OBJECT),
-            "error": _or_null(TEXT),
-            "saves_as": _or_null(TEXT),
+            "result": or_null(OBJECT),
+            "error": or_null(TEXT),
+            "saves_as": or_null(TEXT),
         },
     ),
     ("POST", "/api/analysis/{job}/cancel"): ApiOperation(
@@ -276,19 +232,19 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         "latest_policy",
         "The policy last computed for a net.",
         ("id",),
-        answer={"job": _or_null(TEXT)},
+        answer={"job": or_null(TEXT)},
     ),
     ("GET", "/api/analysis/{job}/rows"): ApiOperation(
         "policy_rows",
         "Rows of a computed policy.",
         ("from?", "limit?"),
-        answer={"places": NAMES, "total": _WHOLE, "changed": _WHOLE, "rows": OBJECTS},
+        answer={"places": NAMES, "total": WHOLE, "changed": WHOLE, "rows": OBJECTS},
     ),
     ("GET", "/api/analysis/{job}/choices"): ApiOperation(
         "policy_choices",
         "What a computed policy chooses after an event.",
         ("id", "at?"),
-        answer={"at": _WHOLE, "choices": OBJECTS},
+        answer={"at": WHOLE, "choices": OBJECTS},
     ),
     ("GET", "/api/analysis/{job}/plan"): ApiOperation(
         "policy_plan",
@@ -299,12 +255,12 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         "policy_save",
         "Save that plan next to the original.",
         body={"name": TEXT, "overwrite?": FLAG},
-        answer={"name": TEXT, "path": _or_null(TEXT)},
+        answer={"name": TEXT, "path": or_null(TEXT)},
     ),
     ("GET", "/api/deploy/targets"): ApiOperation(
         "deploy_targets",
         "The runs to which another plan can be deployed.",
-        answer={"runs": _list({"id": TEXT, "title": TEXT, "run": _or_null(TEXT)})},
+        answer={"runs": list_with({"id": TEXT, "title": TEXT, "run": or_null(TEXT)})},
     ),
     ("POST", "/api/deploy/look"): ApiOperation(
         "deploy_look",
@@ -316,9 +272,9 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
             "plan": TEXT,
             "verdict": TEXT,
             "refused": FLAG,
-            "findings": _list({"level": TEXT, "text": TEXT}),
+            "findings": list_with({"level": TEXT, "text": TEXT}),
             "changes": CHANGES,
-            "gone": _list({"name": TEXT, "kind": TEXT}),
+            "gone": list_with({"name": TEXT, "kind": TEXT}),
             "names": OBJECT,
         },
     ),
@@ -326,13 +282,30 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         "deploy",
         "Make a running team follow another plan.",
         ("id",),
-        {"path?": TEXT, "job?": TEXT, "map?": OBJECT},
+        {
+            "path?": described_as(TEXT, "the plan, as a file of the folder; or 'job'"),
+            "job?": described_as(TEXT, "the computation that found its policy"),
+            "map?": described_as(
+                map_to(TEXT), "present name -> name in the plan, where they differ"
+            ),
+            "run?": described_as(TEXT, "the run that is meant; refused if another one is shown"),
+        },
     ),
     ("GET", "/api/deploy"): ApiOperation(
         "deploy_progress",
         "The progress of the deployment; no state if there was none.",
         ("id",),
-        answer={"state?": TEXT, "plan?": TEXT, "says?": TEXT, "votes?": OBJECT},
+        answer={
+            "state?": described_as(
+                {**TEXT, "enum": ["looking", "done", "refused"]}, "how far it is"
+            ),
+            "plan?": described_as(TEXT, "name of the plan"),
+            "says?": described_as(TEXT, "the reason, or what was done"),
+            "votes?": described_as(
+                map_to({"type": ["string", "null"]}),
+                "robot -> why it refuses the plan; empty: it agrees; null: not yet known",
+            ),
+        },
     ),
     ("GET", "/api/history/names"): ApiOperation(
         "history_names",
@@ -343,13 +316,13 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         "history_report",
         "A report on the fleet's history.",
         ("by?", *HISTORY),
-        answer={"rows": OBJECTS, "left_out": _WHOLE},
+        answer={"rows": OBJECTS, "left_out": WHOLE},
     ),
     ("GET", "/api/history/moments"): ApiOperation(
         "history_moments",
         "The moments behind a row, each with the net that replays it.",
         HISTORY,
-        answer={"moments": _list({"id": TEXT})},
+        answer={"moments": list_with({"id": TEXT})},
     ),
     ("GET", "/api/edit"): ApiOperation(
         "edit_open",
@@ -363,7 +336,7 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
             "scale": NUMBER,
             "laid_out": FLAG,
             "notes": NAMES,
-            "draft": _or_null(OBJECT),
+            "draft": or_null(OBJECT),
             "read_only": TEXT,
         },
     ),
@@ -388,7 +361,7 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         "Store an unsaved document as a draft; null deletes the draft. 412, with theirs, if "
         "somebody else has changed it since the version.",
         ("id",),
-        {"etag": TEXT, **SHARED, "document": _or_null(OBJECT), "history?": _or_null(OBJECT)},
+        {"etag": TEXT, **SHARED, "document": or_null(OBJECT), "history?": or_null(OBJECT)},
         {"kept": FLAG, "version": TEXT},
     ),
     ("GET", "/api/edit/latest"): ApiOperation(
@@ -405,7 +378,7 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
             "page": TEXT,
             "gone?": FLAG,
             "selection?": NAMES,
-            "at?": _or_null({"type": "array", "items": NUMBER}),
+            "at?": or_null(POINT),
         },
         EDITORS,
     ),
@@ -414,6 +387,7 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         "The latest version of a plan and who edits it, as server-sent events.",
         ("id", "page"),
         media="text/event-stream",
+        sends={"": "Editing", "ping": "Ping"},
     ),
     ("POST", "/api/edit/export"): ApiOperation(
         "edit_export",
@@ -431,15 +405,15 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
             "valid?": FLAG,
             "doubts?": NAMES,
             "decided?": FLAG,
-            "states?": _WHOLE,
-            "findings?": _list(
+            "states?": WHOLE,
+            "findings?": list_with(
                 {
                     "level": TEXT,
                     "text": TEXT,
                     "hint": TEXT,
                     "check": TEXT,
                     "elements": OBJECTS,
-                    "mend?": _or_null(OBJECT),
+                    "mend?": or_null(OBJECT),
                 }
             ),
             "cancelled?": FLAG,
@@ -465,18 +439,18 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         "Positions for the nodes of a document.",
         ("id",),
         DOCUMENT,
-        {"places": _POINTS, "transitions": _POINTS},
+        {"places": map_to(POINT), "transitions": map_to(POINT)},
     ),
     ("GET", "/api/edit/palette"): ApiOperation(
         "edit_palette",
         "The actions that a plan can choose from.",
         ("id",),
         answer={
-            "functions": _list({"name": TEXT, "doc": TEXT}),
-            "plans": _list({"file": TEXT, "name": TEXT}),
+            "functions": list_with({"name": TEXT, "doc": TEXT}),
+            "plans": list_with({"file": TEXT, "name": TEXT}),
             "kinds": NAMES,
             "types": OBJECT,
-            "ros": _or_null(OBJECT),
+            "ros": or_null(OBJECT),
         },
     ),
     ("GET", "/api/edit/fields"): ApiOperation(
@@ -501,6 +475,20 @@ header `{TOKEN_HEADER}`; with the viewers' token, everything but GET is refused.
 `/api/edit` exist only with `gspn serve --edit`, and only for the operator."""
 
 
+TASK_HOOK: Dict[str, Any] = {
+    "operationId": "task_ended",
+    "summary": "A task of a team ended.",
+    "description": "What `gspn tasks --follow --post URL` sends; each task once, and up to three "
+    "times until the answer is 2xx.",
+    "requestBody": {
+        "required": True,
+        "content": {"application/json": {"schema": component("TaskEnded")}},
+    },
+    "responses": {"2XX": {"description": "it was taken"}},
+}
+"""The request to a web hook."""
+
+
 def interface(version: str) -> Dict[str, Any]:
     """The OpenAPI document.
 
@@ -519,9 +507,10 @@ def interface(version: str) -> Dict[str, Any]:
         "servers": [{"url": "/"}],
         "security": [{"token": []}, {}],
         "paths": paths,
+        "webhooks": {"task_ended": {"post": TASK_HOOK}},
         "components": {
             "securitySchemes": {"token": {"type": "apiKey", "in": "header", "name": TOKEN_HEADER}},
-            "schemas": {"Error": _object({"error": TEXT, "fields?": OBJECT, "exists?": FLAG})},
+            "schemas": NAMED_SCHEMAS,
             "parameters": {
                 "page": {
                     "name": HEADER,
@@ -552,24 +541,32 @@ def _described(method: str, path: str, operation: ApiOperation) -> Dict[str, Any
         "responses": {
             "200": {
                 "description": "the answer",
-                "content": {
-                    operation.media: {
-                        "schema": TEXTS.get(operation.media) or _object(operation.answer)
-                    }
-                },
+                "content": {operation.media: {"schema": _answer(operation)}},
             },
             "default": {
                 "description": "the reason: 400 wrong input, 401 and 403 not allowed, 409 refused",
-                "content": {"application/json": {"schema": {"$ref": "#/components/schemas/Error"}}},
+                "content": {"application/json": {"schema": component("Error")}},
             },
         },
     }
     if method == "POST":
+        body = any_order() if operation.body is None else object_with(operation.body)
         described["requestBody"] = {
             "required": True,
-            "content": {"application/json": {"schema": _object(operation.body)}},
+            "content": {"application/json": {"schema": body}},
         }
     return described
+
+
+def _answer(operation: ApiOperation) -> Schema:
+    if operation.sends:
+        told = ["%s: %s" % (event or "message", name) for event, name in operation.sends.items()]
+        return described_as(
+            TEXTS[operation.media], "event: the schema of its data. " + ", ".join(told)
+        )
+    if isinstance(operation.answer, str):
+        return component(operation.answer)
+    return TEXTS.get(operation.media) or object_with(operation.answer)
 
 
 def _parameter(name: str, where: str, required: bool) -> Dict[str, Any]:

@@ -1,6 +1,7 @@
 """The page's interface for programs: its description agrees with the routes and the answers, and
 the client in the documents works."""
 
+import json
 import re
 import shutil
 import subprocess
@@ -12,14 +13,20 @@ import pytest
 from page_client import PageClient, folder_project, small_net
 from waiting import PATIENCE
 
+from gspn_framework_package.execution.team_tasks import OUTCOMES_OF_TASKS, EndedTask
 from gspn_framework_package.formats import encode_net, format_named
+from gspn_framework_package.model.errors import GspnError
+from gspn_framework_package.team.orders import ORDERS, PAGE
 from gspn_framework_package.visualizer.app import create_app
 from gspn_framework_package.visualizer.documents import Document, Folder
 from gspn_framework_package.visualizer.guard import Guard
 from gspn_framework_package.visualizer.openapi import API_OPERATIONS
+from gspn_framework_package.visualizer.order_schemas import schema_name
 from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.serving import WebServer
 from gspn_framework_package.visualizer.session import Session
+from gspn_framework_package.visualizer.simulation import OfflineSimulation
+from gspn_framework_package.visualizer.standalone_run import ANSWERS
 
 ROOT = Path(__file__).parents[3]
 
@@ -32,9 +39,29 @@ def _page():
 def operations(page):
     return {
         (method.upper(), path): operation
-        for path, item in page.get("/api/openapi.json").get_json()["paths"].items()
+        for path, item in document_of(page)["paths"].items()
         for method, operation in item.items()
     }
+
+
+def document_of(page):
+    return page.get("/api/openapi.json").get_json()
+
+
+def whole(schema, page):
+    """The schema, with those that it refers to by name."""
+    components = document_of(page)["components"]
+    if "$ref" in schema:
+        schema = components["schemas"][schema["$ref"].split("/")[-1]]
+    return {**schema, "components": components}
+
+
+def answer_schema(operation, page):
+    return whole(operation["responses"]["200"]["content"]["application/json"]["schema"], page)
+
+
+def body_schema(operation, page):
+    return whole(operation["requestBody"]["content"]["application/json"]["schema"], page)
 
 
 def test_every_route_is_described_and_every_description_is_a_route(page, tmp_path):
@@ -49,7 +76,7 @@ def test_every_route_is_described_and_every_description_is_a_route(page, tmp_pat
 
 
 def test_the_description_is_whole(page):
-    document = page.get("/api/openapi.json").get_json()
+    document = document_of(page)
     assert document["openapi"] == "3.1.0" and document["info"]["version"]
     names = [operation["operationId"] for operation in operations(page).values()]
     assert len(set(names)) == len(names)
@@ -69,19 +96,19 @@ DONE = {"login", "analysis_cancel", "deploy"}  # their answers say nothing else
 def test_generators_of_clients_find_all_that_they_need(page):
     """They leave out an operation that has a constant in its header, and leave untyped what is not
     described."""
-    document = page.get("/api/openapi.json").get_json()
+    document = document_of(page)
     header = document["components"]["parameters"]["page"]
     assert header["schema"] == {"type": "string", "default": "1"} and header["in"] == "header"
     for operation in operations(page).values():
         for parameter in operation["parameters"]:
             assert "$ref" in parameter or parameter["schema"]["type"] in ("string", "integer")
         for media, content in operation["responses"]["200"]["content"].items():
-            schema = content["schema"]
+            schema = whole(content["schema"], page)
             typed = media != "application/json" or bool(schema["properties"])
             assert typed != (operation["operationId"] in DONE), operation["operationId"]
-        assert not [part for part in parts_of(operation) if "const" in part]
-        for part in parts_of(operation):
-            assert part.get("type") != "array" or "items" in part, operation["operationId"]
+    for part in parts_of(document):
+        assert "const" not in part
+        assert part.get("type") != "array" or "items" in part, part
 
 
 def parts_of(value):
@@ -116,13 +143,12 @@ def test_answers_are_as_described(page):
         plain = re.sub("no_such_job", "{job}", path.partition("?")[0])
         responses, answer = described["GET", plain]["responses"], page.get(path)
         if answer.status_code == 200:
-            schema = responses["200"]["content"]["application/json"]["schema"]
+            schema = answer_schema(described["GET", plain], page)
         else:
             assert responses["default"]["content"]["application/json"]["schema"] == {
                 "$ref": "#/components/schemas/Error"
             }
-            document = page.get("/api/openapi.json").get_json()
-            schema = document["components"]["schemas"]["Error"]
+            schema = document_of(page)["components"]["schemas"]["Error"]
         jsonschema.validate(answer.get_json(), schema)
     assert page.get("/api/session?id=nothing").status_code == 400
 
@@ -136,7 +162,7 @@ def test_answers_to_orders_and_edits_are_as_described(tmp_path):
         found = page.get(path) if method == "GET" else page.post(path, body)
         assert found.status_code == 200, (path, found.get_data())
         operation = described[method, path.partition("?")[0]]
-        schema = operation["responses"]["200"]["content"]["application/json"]["schema"]
+        schema = answer_schema(operation, page)
         jsonschema.validate(found.get_json(), schema)
         said = set(found.get_json()) - {"revision"}
         assert said <= set(schema["properties"]), path
@@ -160,12 +186,91 @@ def test_answers_to_orders_and_edits_are_as_described(tmp_path):
     answer("GET", "/api/edit/fields?kind=publish&type=std_msgs/String")
 
 
+def test_every_command_is_described_and_every_description_is_a_command():
+    page = PageClient()
+    orders = {name for name, kind in ORDERS.items() if kind.form is not None}
+    simulation = OfflineSimulation(small_net()).commands
+    assert {*ANSWERS, "stop", "breakpoints"} <= orders
+    schema = body_schema(operations(page)["POST", "/api/do"], page)
+    described = schema["discriminator"]["mapping"]
+    assert set(described) == {*orders, *simulation, "layout", "start", "simulate"}
+    assert sorted(described.values()) == sorted(each["$ref"] for each in schema["oneOf"])
+    for command, where in described.items():
+        order = whole({"$ref": where}, page)
+        assert order["properties"]["command"]["enum"] == [command]
+        fields = (
+            {field.name: field for field in ORDERS[command].fields} if command in orders else {}
+        )
+        assert set(fields) <= set(order["properties"]), command
+        required = {name for name, field in fields.items() if field.required}
+        assert set(order["required"]) >= {"command", *required}
+        assert all(order["properties"][name]["description"] for name in [*fields, "run"])
+
+
+ORDERS_OF_CLIENTS = [
+    ({"command": "pause"}, True),
+    ({"command": "pause", "robot": "robot_1", "stop": True, "run": "monday"}, True),
+    ({"command": "pause", "stop": "yes"}, False),
+    ({"command": "submit", "transition": "t", "id": 7, "data": {"a": 1}, "until": "+10m"}, True),
+    ({"command": "submit", "transition": "t", "at": "+1h", "every": "10m"}, True),
+    ({"command": "submit", "transition": "t", "data": []}, False),
+    ({"command": "submit", "transition": "t", "priority": 1.5}, False),
+    ({"command": "submit", "id": "o1"}, False),
+    ({"command": "set_place", "robot": "robot_1"}, False),
+    ({"command": "prioritise", "id": "o1", "priority": 3}, True),
+    ({"command": "breakpoints", "names": ["Door"]}, True),
+    ({"command": "breakpoints", "names": [1]}, False),
+]
+
+
+@pytest.mark.parametrize(("order", "taken"), ORDERS_OF_CLIENTS)
+def test_an_order_is_taken_if_it_is_as_described(order, taken):
+    page = PageClient()
+    schema = whole({"$ref": "#/components/schemas/" + schema_name(order["command"])}, page)
+    assert jsonschema.Draft7Validator(schema).is_valid(order) == taken
+    if taken:
+        ORDERS[order["command"]].checked(order, PAGE)
+    else:
+        with pytest.raises(GspnError):
+            ORDERS[order["command"]].checked(order, PAGE)
+
+
+def test_the_messages_of_streams_are_as_described():
+    page = PageClient()
+    operation = operations(page)["GET", "/api/stream"]
+    says = operation["responses"]["200"]["content"]["text/event-stream"]["schema"]["description"]
+    assert "message: News, ping: Ping, closed: Closed" in says
+    messages = page.get("/api/stream?id=small").response
+    assert next(messages) == b"retry: 1000\n\n"
+
+    def told(name):
+        *_, data = next(messages).decode().rstrip().splitlines()
+        schema = whole({"$ref": "#/components/schemas/" + name}, page)
+        jsonschema.validate(json.loads(data.partition("data: ")[2]), schema)
+        return json.loads(data.partition("data: ")[2])
+
+    assert told("News")["snapshot"]["board"]["n"] == 0
+    page.do("step")
+    assert told("News")["events"][0]["k"] == "fire"
+    page.project.sessions.get("small").close("the test is over")
+    assert told("Closed")["reason"] == "the test is over"
+
+
+def test_the_web_hook_is_described():
+    page = PageClient()
+    hook = document_of(page)["webhooks"]["task_ended"]["post"]
+    schema = whole(hook["requestBody"]["content"]["application/json"]["schema"], page)
+    for outcome in OUTCOMES_OF_TASKS:
+        jsonschema.validate(EndedTask("o1", outcome, "why")._asdict(), schema)
+    assert not jsonschema.Draft7Validator(schema).is_valid({"id": "o1"})
+    assert set(schema["required"]) == set(EndedTask._fields)
+
+
 def test_a_field_that_is_described_as_needed_is_needed(tmp_path):
     page = PageClient(folder_project(tmp_path))
     for path, field in (("/api/open", "path"), ("/api/upload", "files"), ("/api/do?id=x", "")):
-        operation = operations(page)["POST", path.partition("?")[0]]
-        schema = operation["requestBody"]["content"]["application/json"]["schema"]
-        assert field in [*schema["required"], ""]
+        schema = body_schema(operations(page)["POST", path.partition("?")[0]], page)
+        assert not field or field in schema["required"]
         assert page.post(path, {}).status_code == 400
 
 
