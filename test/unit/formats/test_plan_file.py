@@ -126,7 +126,7 @@ def test_a_plan_is_written_self_contained_and_is_the_same_plan() -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["patrol", "measure", "rendezvous", "tokens", "fork_join", "inspection", "warehouse"],
+    ["patrol", "measure", "rendezvous", "tokens", "fork_join", "inspection", "warehouse", "depot"],
 )
 def test_the_example_plans_are_plans(name: str) -> None:
     plan = read_plan(str(PLANS / name))
