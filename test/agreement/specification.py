@@ -268,7 +268,7 @@ MUTANTS: Sequence[Mutant] = (
         "a process without the memory answers for its robot",
         "mine(m) == m.log = known_log(s, m.from) /\\ m.torn = <<>>",
         "mine(m) == TRUE",
-        "small_two_partial_spare",
+        "large_two_partial_spare",
         "",
         "NoMovePassesAPause",
     ),
