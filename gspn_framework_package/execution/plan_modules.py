@@ -25,7 +25,11 @@ from typing import Any, Dict, Iterable, Mapping, Optional, Tuple
 from gspn_framework_package.formats.source import Stamp, file_stamp, is_inside
 from gspn_framework_package.model.errors import PlanError, UsageError
 
-SHIPPED = ("gspn_framework_package.world.parking", "gspn_framework_package.world.patrol_actions")
+SHIPPED = (
+    "gspn_framework_package.world.counter",
+    "gspn_framework_package.world.parking",
+    "gspn_framework_package.world.patrol_actions",
+)
 """The modules of this package with functions for plans."""
 
 HOW_TO_ALLOW = (

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution.actions import load_actions
 from gspn_framework_package.testing import Coverage, Scenario
 
 FOLDER = Path(__file__).resolve().parents[2] / "plans" / "warehouse"
@@ -22,6 +23,12 @@ def coverage(request: Any) -> Coverage:
 
 def start(coverage: Coverage, **options: Any) -> Scenario:
     return Scenario(coverage.plan, coverage=coverage, **options)
+
+
+def test_its_functions_are_allowed_without_a_word() -> None:
+    pytest.importorskip("rospy")
+    actions = load_actions(Scenario(FOLDER / "room.json").plan, "robot_1")
+    assert set(actions) == {"Park", "Loaded", "Hand_Over", "Low"}
 
 
 def test_orders_are_delivered_one_at_a_time_at_the_counter(coverage: Coverage) -> None:
