@@ -30,6 +30,11 @@ class Activity:
         self.commands: Dict[str, Handler] = {}
 
     @property
+    def log(self) -> Optional[str]:
+        """The path of the event log of the run shown; None if this server has none."""
+        return None
+
+    @property
     def running(self) -> Optional[bool]:
         """Whether a plan is being executed; None: the status of the board decides."""
         return None

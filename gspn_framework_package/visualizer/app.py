@@ -20,7 +20,7 @@ from werkzeug.exceptions import HTTPException
 from gspn_framework_package import __version__
 from gspn_framework_package.formats.plan_json import schema
 from gspn_framework_package.model.errors import GspnError, InputError, UsageError
-from gspn_framework_package.visualizer import deploying
+from gspn_framework_package.visualizer import deploying, run_stories
 from gspn_framework_package.visualizer.activity import whole_field
 from gspn_framework_package.visualizer.analysis_jobs import AnalysisJobs
 from gspn_framework_package.visualizer.documents import Document, read_upload, run_net_document
@@ -73,6 +73,7 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
     editing.add_routes(app, project, _body, streams)
     deploying.add_routes(app, project, jobs, _body)
     _add_history(app, project)
+    run_stories.add_routes(app, project)
     return app
 
 
@@ -232,6 +233,14 @@ def _add_session(app: flask.Flask, project: Project, streams: Streams) -> None:
     def after_slot() -> Dict[str, Any]:
         shown = _session(project)
         return {"epoch": shown.hub.epoch, "event": shown.activity.after_slot(_number("slot"))}
+
+    @app.route("/api/moment")
+    def event_at() -> Dict[str, Any]:
+        hub = _session(project).hub
+        text = request.args.get("t", "")
+        if not re.fullmatch(r"[0-9]{1,9}(\.[0-9]{1,6})?", text):
+            raise UsageError("'t' must be a number of seconds")
+        return {"epoch": hub.epoch, "event": hub.event_at(float(text))}
 
     @app.route("/api/events")
     def past_events() -> Dict[str, Any]:

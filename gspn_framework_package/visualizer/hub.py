@@ -300,6 +300,23 @@ class Hub:
                 return self._slice(max(after, to - limit), to)
         return history.events(max(after, to - limit), to)
 
+    def event_at(self, t: float) -> Optional[int]:
+        """The number of the last event up to ``t`` seconds after the beginning; None if a recording
+        has not been read that far."""
+        with self._condition:
+            low = self._oldest.n if self._history is None else 0
+            high = self._board.n
+            if self.info.get("loading") and t > self._board.t:
+                return None
+        while low < high:
+            middle = (low + high + 1) // 2
+            found = self.events(middle - 1, middle)
+            if found and found[0]["t"] > t:
+                high = middle - 1
+            else:
+                low = middle
+        return low
+
     def _slice(self, after: int, to: int) -> List[Event]:
         first = max(0, after - self._oldest.n)
         last = max(0, min(to, self._board.n) - self._oldest.n)

@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Dict
 
 from gspn_framework_package.analysis.decisions.aims import Aim
+from gspn_framework_package.fleet.stay_follower import USES
 from gspn_framework_package.visualizer.order_schemas import order_schemas
 from gspn_framework_package.visualizer.schemas import (
     COUNTS,
@@ -28,6 +29,22 @@ from gspn_framework_package.visualizer.schemas import (
 EDITORS: Dict[str, Schema] = {
     "version": TEXT,
     "editors": list_with({"page": TEXT, "number": WHOLE, "selection": NAMES}),
+}
+
+_MOMENT = {"robot": TEXT, "place": TEXT, "slot": WHOLE}
+STORY: Dict[str, Schema] = {
+    "run": TEXT,
+    "plan": TEXT,
+    "began": or_null(NUMBER),
+    "seconds": NUMBER,
+    "ended": TEXT,
+    "slots": WHOLE,
+    "firings": WHOLE,
+    "left_out": WHOLE,
+    "robots": list_with({"robot": TEXT, **dict.fromkeys(USES, NUMBER)}),
+    "waited_for": list_with({"robot": TEXT, "seconds": NUMBER, "waits": WHOLE, "by": NAMES}),
+    "waits": list_with({"t": NUMBER, "seconds": NUMBER, **_MOMENT, "for": TEXT, "text": TEXT}),
+    "moments": list_with({"at": NUMBER, **_MOMENT, "kind": TEXT, "detail": TEXT}),
 }
 
 BOARD = object_with(

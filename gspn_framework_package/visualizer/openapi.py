@@ -18,6 +18,7 @@ from gspn_framework_package.visualizer.named_schemas import (
     EPOCH,
     NAMED_SCHEMAS,
     SCENE,
+    STORY,
 )
 from gspn_framework_package.visualizer.order_schemas import any_order
 from gspn_framework_package.visualizer.schemas import (
@@ -38,7 +39,7 @@ from gspn_framework_package.visualizer.schemas import (
     or_null,
 )
 
-API_VERSION = "1.2.0"
+API_VERSION = "1.3.0"
 """Version of the interface: the first number grows with each incompatible change, the second with
 each addition."""
 
@@ -51,6 +52,7 @@ API_PARAMETERS: Dict[str, Tuple[Schema, str]] = {
     "at": (WHOLE, "number of an event"),
     "plan": (WHOLE, "number of a plan that the team followed; 0: the initial plan"),
     "slot": (WHOLE, "number of a slot of the log"),
+    "t": (NUMBER, "seconds since the run began"),
     "after": (WHOLE, "number of the event after which to start"),
     "to": (WHOLE, "number of the last event"),
     "limit": (WHOLE, "maximum number"),
@@ -184,6 +186,12 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         "after_slot",
         "The first event after a slot of the log.",
         ("id", "slot"),
+        answer={**EPOCH, "event": or_null(WHOLE)},
+    ),
+    ("GET", "/api/moment"): ApiOperation(
+        "event_at",
+        "The last event up to a time of the run; null if the log has not been read that far.",
+        ("id", "t"),
         answer={**EPOCH, "event": or_null(WHOLE)},
     ),
     ("GET", "/api/events"): ApiOperation(
@@ -323,6 +331,18 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         "The moments behind a row, each with the net that replays it.",
         HISTORY,
         answer={"moments": list_with({"id": TEXT})},
+    ),
+    ("GET", "/api/story"): ApiOperation(
+        "story",
+        "Who waited for whom in the run that is shown, and what happened; times in seconds.",
+        ("id",),
+        answer=STORY,
+    ),
+    ("GET", "/api/report"): ApiOperation(
+        "report",
+        "The same as one HTML file.",
+        ("id",),
+        media="text/html",
     ),
     ("GET", "/api/edit"): ApiOperation(
         "edit_open",

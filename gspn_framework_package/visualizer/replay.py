@@ -32,6 +32,11 @@ class Replay(Activity):
         self._recording = Recording(self._file)
         self._stop = threading.Event()
 
+    @property
+    def log(self) -> Optional[str]:
+        """See :class:`Activity`."""
+        return self._file.path
+
     def document(self, title: str) -> Document:
         """The plan of the recorded run, for display."""
         return Document(title, self._file.plan.net, self._file.plan)

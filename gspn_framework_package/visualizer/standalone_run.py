@@ -143,6 +143,11 @@ class StandaloneRun(Activity, Listener):
         self._executor.record_to(self._log)
 
     @property
+    def log(self) -> Optional[str]:
+        """See :class:`Activity`."""
+        return self.path
+
+    @property
     def running(self) -> bool:
         """Whether the plan is being executed."""
         return not self._told_end

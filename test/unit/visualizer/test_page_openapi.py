@@ -101,7 +101,11 @@ def test_generators_of_clients_find_all_that_they_need(page):
     assert header["schema"] == {"type": "string", "default": "1"} and header["in"] == "header"
     for operation in operations(page).values():
         for parameter in operation["parameters"]:
-            assert "$ref" in parameter or parameter["schema"]["type"] in ("string", "integer")
+            assert "$ref" in parameter or parameter["schema"]["type"] in (
+                "string",
+                "integer",
+                "number",
+            )
         for media, content in operation["responses"]["200"]["content"].items():
             schema = whole(content["schema"], page)
             typed = media != "application/json" or bool(schema["properties"])

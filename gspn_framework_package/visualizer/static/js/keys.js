@@ -4,7 +4,7 @@ import { $, h, ask, attempt, dialogOpen } from "./dom.js";
 import { EDIT_KEYS } from "./edit/edit_keys.js";
 
 /** The tabs of the details, in their order. */
-export const TABS = ["inspector", "robots", "analysis", "optimise"];
+export const TABS = ["inspector", "robots", "analysis", "optimise", "story"];
 
 const TABLE = [
   ["Space", "pause the view, play; run and stop a simulation"],
@@ -18,7 +18,7 @@ const TABLE = [
   ["+  −", "zoom"],
   ["/", "search; then ↓ and Enter move through the list"],
   ["Shift + Enter", "in the list: fire"],
-  ["1  2  3  4", "inspector, robots, analysis, optimise"],
+  ["1  2  3  4  5", "inspector, robots, analysis, optimise, story"],
   ["P  D  T", "fold and unfold: places and transitions, details, time line"],
   ["W", "more room for the details"],
   ["O", "open another net"],

@@ -9,6 +9,8 @@ import { Inspector } from "./inspector.js";
 import { RobotsPanel } from "./robots_panel.js";
 import { AnalysisPanel } from "./analysis_panel.js";
 import { OptimisePanel } from "./optimise_panel.js";
+import { goToMoment, linkMoment } from "./moment.js";
+import { StoryPanel } from "./story_panel.js";
 import { FiringLog } from "./log.js";
 import { TimeLine } from "./timeline.js";
 import { Tools, simulationStage } from "./tools.js";
@@ -33,7 +35,7 @@ const MODE_SAYS = {
 };
 
 /** What shows the scene of the model. */
-const VIEWS = "view list inspector robots analysis optimise log line".split(" ");
+const VIEWS = "view list inspector robots analysis optimise story log line".split(" ");
 
 class Page {
   constructor() {
@@ -76,7 +78,7 @@ class Page {
     if (edits && this.editor.id === key) return;
     if (!edits) {
       if (key && this.model?.session.id === key) {
-        this.goToSlot(word);
+        goToMoment(this, word);
         return;
       }
       if (!(await this.editor.leave())) return;
@@ -86,7 +88,7 @@ class Page {
     else if (key === HISTORY && this.hello.history) this.openHistory();
     else if (key) {
       await this.open(key);
-      this.goToSlot(word);
+      goToMoment(this, word);
     } else if (this.hello.first && !this.begun) {
       history.replaceState(null, "", `#${encodeURIComponent(this.hello.first)}`);
       await this.open(this.hello.first);
@@ -138,19 +140,6 @@ class Page {
     document.title = ofPage;
   }
 
-  /** Show the moment named in the address: `slot=12` is the state after slot 12 of the log. */
-  async goToSlot(word) {
-    const found = /^slot=([0-9]{1,15})$/.exec(word || "");
-    const { model } = this;
-    while (found && model && model === this.model) {
-      const shown = await attempt(() => model.showSlot(Number(found[1])));
-      if (shown !== false) return;
-      await new Promise((resolve) => {
-        setTimeout(resolve, 300); // the log is still being read
-      });
-    }
-  }
-
   async open(key) {
     hideOpening();
     const session = await attempt(() => get("session", { id: key }));
@@ -197,6 +186,7 @@ class Page {
       this.mayAct ? "" : ONLY_LOOK,
     );
     this.optimise = new OptimisePanel(model, this.view, this.mayAct ? "" : ONLY_LOOK);
+    this.story = new StoryPanel(model);
     this.log = new FiringLog(model);
     this.line = new TimeLine(model);
     this.wireViews();
@@ -346,6 +336,12 @@ class Page {
     };
     for (const part of [this.list, this.inspector, this.analysis, this.optimise])
       part.addEventListener("choose", chosen);
+    this.story.addEventListener("light", ({ detail }) => {
+      const index = model.scene.places.findIndex(({ name }) => name === detail);
+      const place = index < 0 ? null : { kind: "place", index };
+      for (const part of [this.view, this.list]) part.select(place);
+      if (place) this.view.flyTo("place", index);
+    });
     this.optimise.addEventListener("saved", async ({ detail }) => {
       this.hello = (await get("hello").catch(() => null)) || this.hello;
       if (detail.open)
@@ -423,6 +419,7 @@ class Page {
     }
     if (name === "robots") this.robots?.update();
     if (name === "optimise") this.optimise?.open();
+    if (name === "story") this.story?.open();
   }
 
   // -- around the net ------------------------------------------------------------------------------
@@ -523,6 +520,7 @@ class Page {
     $("relayout").onclick = () =>
       attempt(async () => this.view.relayout(await this.tools.do("layout")));
     $("play").onclick = () => this.togglePause();
+    $("link-moment").onclick = () => attempt(() => linkMoment(this.model));
     $("back-to-live").onclick = () => attempt(() => this.model.backToLive());
     const scrubber = $("scrubber");
     scrubber.oninput = () => {

@@ -259,8 +259,17 @@ export class Model extends EventTarget {
   }
 
   /** Show the board after a slot of the log; false if the log has not been read that far. */
-  async showSlot(slot) {
-    const { epoch, event } = await get("slot", { id: this.session.id, slot });
+  showSlot(slot) {
+    return this.showFound("slot", { slot });
+  }
+
+  /** Show the board at a time of the run; false if the log has not been read that far. */
+  showTime(t) {
+    return this.showFound("moment", { t: t.toFixed(4) });
+  }
+
+  async showFound(path, moment) {
+    const { epoch, event } = await get(path, { id: this.session.id, ...moment });
     if (event === null || epoch !== this.epoch || this.head.n < event) return false;
     await this.show(event);
     return true;
