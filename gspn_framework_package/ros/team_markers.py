@@ -11,6 +11,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from gspn_framework_package.model.action import ServerAction
+from gspn_framework_package.model.goal_pose import goal_pose
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.robot_colours import colour_of
 from gspn_framework_package.msg import RobotActivity
@@ -63,26 +64,10 @@ def spots_of_room(room: Mapping[str, Any], frame: str, places: Iterable[str]) ->
 
 def _stamped_pose(goal: Any) -> Optional[Tuple[str, Pose]]:
     """The first stamped pose in the fields of a goal."""
-    if not isinstance(goal, Mapping):
+    found = goal_pose(goal)
+    if found is None:
         return None
-    header, pose = goal.get("header"), goal.get("pose")
-    if isinstance(header, Mapping) and isinstance(pose, Mapping):
-        position = _numbers(pose.get("position"), "xyz")
-        orientation = _numbers(pose.get("orientation"), "xyzw")
-        frame = header.get("frame_id")
-        if position and orientation and isinstance(frame, str):
-            return frame, Pose(Point(*position), Quaternion(*orientation))
-    return next(filter(None, map(_stamped_pose, goal.values())), None)
-
-
-def _numbers(fields: Any, names: str) -> Optional[List[float]]:
-    """The numbers of a map, 0 for missing keys; None if a value is not a number."""
-    if not isinstance(fields, Mapping):
-        return None
-    values = [fields.get(name, 0.0) for name in names]
-    if any(isinstance(v, bool) or not isinstance(v, (int, float)) for v in values):
-        return None
-    return [float(v) for v in values]
+    return found.frame, Pose(Point(*found.position), Quaternion(*found.orientation))
 
 
 class TeamMarkers:

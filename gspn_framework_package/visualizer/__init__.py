@@ -7,8 +7,8 @@ Modules: ``activity``, ``analysis_jobs``, ``analysis_worker``, ``app``, ``bag_re
 ``connections``, ``deploying``, ``documents``, ``editing``, ``feedback``, ``fired_follower``,
 ``fleet_page``, ``guard``, ``hub``, ``layout``, ``live_comparison``, ``named_schemas``, ``openapi``,
 ``optimise_form``, ``optimised``, ``order_schemas``, ``page_orders``, ``project``, ``reasons``,
-``recording``, ``replay``, ``ros_node``, ``ros_prediction``, ``ros_watch``, ``run_marks``,
-``run_stories``, ``scene``, ``schemas``, ``serving``, ``session``, ``simulation``,
+``recording``, ``replay``, ``ros_node``, ``ros_poses``, ``ros_prediction``, ``ros_watch``,
+``run_marks``, ``run_stories``, ``scene``, ``schemas``, ``serving``, ``session``, ``simulation``,
 ``simulation_form``, ``standalone_run``, ``streams``, ``team_connection``, ``team_events``,
 ``team_watch``, ``zenoh_connection``.
 """

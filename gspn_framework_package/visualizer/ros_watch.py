@@ -20,6 +20,7 @@ from gspn_framework_package.ros.transport.registration import (
 from gspn_framework_package.team.operator_client import UnreachableError
 from gspn_framework_package.team.seal import TeamKey
 from gspn_framework_package.visualizer.live_comparison import Departures
+from gspn_framework_package.visualizer.ros_poses import RosPoses
 from gspn_framework_package.visualizer.ros_prediction import RosPrediction
 from gspn_framework_package.visualizer.team_connection import STATUS_TIME
 
@@ -32,7 +33,8 @@ class RosConnection:
 
     Subscribes to ``/fired_transitions`` (gspn_framework_package/FiredTransition), to every existing
     ``NAMESPACE/activity`` (std_msgs/String), to ``/world/room`` and ``/world/state``
-    (std_msgs/String). Calls ``NAMESPACE/command`` (gspn_framework_package/Command).
+    (std_msgs/String), and without such a world to ``/map`` and the poses of the robots. Calls
+    ``NAMESPACE/command`` (gspn_framework_package/Command).
 
     :param key: the key of the team, to give orders; None if it has none.
     """
@@ -51,6 +53,7 @@ class RosConnection:
         self._seen = seen
         self._prediction = RosPrediction()
         self._subscribe(FIRED_TOPIC, FiredTransition, lambda message: seen("fired", message))
+        self._poses = RosPoses(self._subscribe, seen)
         for what in ("room", "state"):
             name = "world" if what == "state" else what
             self._subscribe("/world/" + what, String, self._with_json(name))
@@ -72,6 +75,7 @@ class RosConnection:
             if topic.endswith(_ACTIVITY) and kind == String._type and namespace not in self._found:
                 self._found.add(namespace)
                 self._subscribe(topic, String, self._with_json("activity", namespace))
+        self._poses.find(published, self._found)
         return set(self._found)
 
     def line(self, seconds: float) -> ServiceLine:

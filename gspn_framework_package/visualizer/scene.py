@@ -6,6 +6,8 @@ from __future__ import annotations
 from typing import Any, Dict, List, Optional, Sequence
 
 from gspn_framework_package.execution.breakpoints import why_no_breakpoint
+from gspn_framework_package.model.action import ServerAction
+from gspn_framework_package.model.goal_pose import goal_pose
 from gspn_framework_package.model.marking_function import written
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
@@ -27,6 +29,7 @@ def scene_to_json(net: Net, plan: Optional[Plan] = None) -> Dict[str, Any]:
                 "action": _action(p.name, plan),
                 "breakable": plan is not None and not why_no_breakpoint(plan, p.name, "place"),
                 "queue": plan is not None and p.name in plan.tasks.queues,
+                **_at(p.name, plan),
             }
             for p in net.places
         ],
@@ -93,6 +96,14 @@ def _is_environment(net: Net, plan: Plan, t: int) -> bool:
 def _action(place: str, plan: Optional[Plan]) -> Optional[str]:
     action = plan.actions.get(place) if plan is not None else None
     return None if action is None else action.label
+
+
+def _at(place: str, plan: Optional[Plan]) -> Dict[str, Any]:
+    """Where the goal of a place sends robots: ``at``, as x and y (m); nothing if it does not
+    say."""
+    action = plan.actions.get(place) if plan is not None else None
+    found = goal_pose(action.goal) if isinstance(action, ServerAction) else None
+    return {"at": [round(metres, 2) for metres in found.position[:2]]} if found is not None else {}
 
 
 def _event(transition: str, plan: Optional[Plan]) -> Optional[str]:

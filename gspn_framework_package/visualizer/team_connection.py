@@ -36,7 +36,7 @@ class TeamConnection(Protocol):
         :param seen: takes, on any thread, ``"fired"`` and a
             :class:`~gspn_framework_package.visualizer.fired_follower.FiredMessage`; ``"activity"``
             with the address of a robot and what it does; ``"room"`` and ``"world"`` with data of a
-            simulated world.
+            simulated world, or ``"map"`` and ``"poses"`` with where real robots are.
         """
 
     def find(self) -> Set[str]:

@@ -20,6 +20,7 @@ from typing import (
     List,
     Mapping,
     Optional,
+    Sequence,
     Set,
     Tuple,
 )
@@ -301,6 +302,19 @@ class TeamWatch(Activity):
 
     def _on_world(self, world: Dict[str, Any]) -> None:
         self._hub.set_latest("world", world)
+
+    def _on_poses(self, poses: Mapping[str, Sequence[Any]]) -> None:
+        """Show where the robots are. :param poses: address -> x, y, yaw, and the source of it."""
+        names = self.names
+        robots = {
+            names[address]: {"pose": list(pose[:3]), "by": pose[3]}
+            for address, pose in poses.items()
+            if address in names
+        }
+        self._hub.set_latest("world", {"robots": robots})
+
+    def _on_map(self, room: Dict[str, Any]) -> None:
+        self._hub.set_latest("room", room)
 
     def _on_unreachable(self, why: str) -> None:
         """Show why the team cannot be reached; "" once it can be reached again."""

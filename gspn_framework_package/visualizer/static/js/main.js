@@ -158,6 +158,11 @@ class Page {
     this.openedAt = performance.now();
     this.orders = new Orders(this);
     this.room = new Room(model);
+    this.room.addEventListener("place", ({ detail }) => this.fly({ kind: "place", index: detail }));
+    this.room.addEventListener("robot", ({ detail }) => {
+      const index = model.board.robots.get(detail)?.place ?? -1;
+      if (index >= 0) this.fly({ kind: "place", index });
+    });
     this.tools = null;
     this.makeViews();
     this.wire(model);
@@ -309,6 +314,7 @@ class Page {
       }
     });
     model.addEventListener("view", () => {
+      if (this.room.shown) this.room.later();
       this.tools?.refresh();
       this.line.later();
       this.showRun();
@@ -330,16 +336,13 @@ class Page {
     this.view.addEventListener("activate", ({ detail }) => {
       if (detail.kind === "transition" && model.mode === "SIMULATE") this.tools.fire(detail.index);
     });
-    const chosen = ({ detail }) => {
-      this.choose(detail);
-      if (detail.fly) this.view.flyTo(detail.kind, detail.index);
-    };
+    const chosen = ({ detail }) => (detail.fly ? this.fly(detail) : this.choose(detail));
     for (const part of [this.list, this.inspector, this.analysis, this.optimise])
       part.addEventListener("choose", chosen);
     this.story.addEventListener("light", ({ detail }) => {
       const index = model.scene.places.findIndex(({ name }) => name === detail);
       const place = index < 0 ? null : { kind: "place", index };
-      for (const part of [this.view, this.list]) part.select(place);
+      for (const part of [this.view, this.list, this.room]) part.select(place);
       if (place) this.view.flyTo("place", index);
     });
     this.optimise.addEventListener("saved", async ({ detail }) => {
@@ -372,7 +375,14 @@ class Page {
     this.view.select(this.selection);
     this.list.select(this.selection);
     this.inspector.select(this.selection);
+    this.room.select(this.selection);
     if (this.selection) this.openTab("inspector");
+  }
+
+  /** Choose a node that was found elsewhere, and show it. */
+  fly(selection) {
+    this.choose(selection);
+    this.view.flyTo(selection.kind, selection.index);
   }
 
   setShowEnabled(on) {

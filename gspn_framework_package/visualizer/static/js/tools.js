@@ -278,7 +278,7 @@ export class Tools {
         ),
       ];
     }
-    if (this.model.latest.room || this.model.info.room)
+    if (this.model.latest.room || this.model.latest.world)
       tools.push(
         button("show-room", "Room", () => page.room.toggle(), "The room and the robots in it"),
       );
