@@ -1,6 +1,7 @@
 """How the Python package is installed: by catkin_make into a workspace, and by pip where there is
 no ROS."""
 
+import glob
 import os
 import xml.etree.ElementTree as ElementTree
 
@@ -92,8 +93,11 @@ def for_pip(manifest):
         "python_requires": ">=3.8",
         "install_requires": [LIBRARIES[key] for key in named if key in LIBRARIES],
         "extras_require": EXTRAS,
-        # this file reads package.xml where pip has unpacked a source distribution, too
-        "data_files": [("share/" + PACKAGE, ["package.xml"])],
+        "data_files": [
+            # this file reads package.xml where pip has unpacked a source distribution, too
+            ("share/" + PACKAGE, ["package.xml"]),
+            ("share/" + PACKAGE + "/docs", sorted(glob.glob("docs/*.md"))),
+        ],
         "entry_points": {"console_scripts": ["gspn = %s.cli.main:main" % PACKAGE]},
     }
 

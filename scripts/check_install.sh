@@ -96,7 +96,7 @@ installed "ROS_HOSTNAME=localhost rostest '$ROOT/test/rostest/world/world.test'"
 CHECKOUT=$ASIDE/pip_checkout EMPTY=$ASIDE/pip_venv BEGINNER=$ASIDE/beginner
 rm -rf "$CHECKOUT" "$EMPTY" "$BEGINNER"
 mkdir -p "$CHECKOUT" "$BEGINNER"
-cp -r "$ROOT/$PACKAGE" "$ROOT"/{gspn,msg,plans,setup.py,package.xml,pyproject.toml,LICENSE,README.md} "$CHECKOUT"
+cp -r "$ROOT/$PACKAGE" "$ROOT"/{docs,gspn,msg,plans,setup.py,package.xml,pyproject.toml,LICENSE,README.md} "$CHECKOUT"
 log=$WORKSPACE/pip_install.log
 pip=("-m" pip --disable-pip-version-check)
 { /usr/bin/python3 -m venv "$EMPTY" && "$EMPTY/bin/python" "${pip[@]}" install -q "pip>=21.3" \

@@ -4,9 +4,9 @@ Modules: ``against``, ``agent``, ``aims``, ``analyse``, ``analysis_text``, ``bre
 ``build``, ``check``, ``compare``, ``completion``, ``continued``, ``convert``, ``deadlock_free``,
 ``demo``, ``deploy``, ``diff``, ``draw``, ``explain``, ``export``, ``film``, ``fit``, ``history``,
 ``history_options``, ``importing``, ``improve``, ``interrupts``, ``keys``, ``limits``, ``main``,
-``man``, ``mcp``, ``mcp_server``, ``mcp_tools``, ``memory``, ``net_input``, ``new``, ``numbers``,
-``on_history``, ``optimise``, ``options``, ``orders``, ``plan_output``, ``plot``, ``progress``,
-``proofs``, ``queries``, ``replay``, ``report``, ``room``, ``router``, ``run``, ``serve``,
-``simulate``, ``simulated_runs``, ``status``, ``sweep``, ``sweep_figure``, ``sweep_store``,
-``table``, ``tasks``, ``team_client``, ``trust``, ``verify``, ``virtual_log``.
+``man``, ``mcp``, ``mcp_resources``, ``mcp_server``, ``mcp_tools``, ``memory``, ``net_input``,
+``new``, ``numbers``, ``on_history``, ``optimise``, ``options``, ``orders``, ``plan_output``,
+``plot``, ``progress``, ``proofs``, ``queries``, ``replay``, ``report``, ``room``, ``router``,
+``run``, ``serve``, ``simulate``, ``simulated_runs``, ``status``, ``sweep``, ``sweep_figure``,
+``sweep_store``, ``table``, ``tasks``, ``team_client``, ``trust``, ``verify``, ``virtual_log``.
 """

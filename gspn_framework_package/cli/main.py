@@ -417,11 +417,14 @@ def _complete(parser: argparse.ArgumentParser, entry: Union[Verb, OrderVerb]) ->
 
 def parsers() -> Dict[str, argparse.ArgumentParser]:
     """Verb -> its parser, of all verbs."""
-    found: Dict[str, argparse.ArgumentParser] = {}
-    for name, entry in all_verbs().items():
-        found[name] = _Parser(prog="gspn " + name, allow_abbrev=False)
-        _complete(found[name], entry)
-    return found
+    return {name: verb_parser(name) for name in all_verbs()}
+
+
+def verb_parser(name: str) -> argparse.ArgumentParser:
+    """The parser of a verb."""
+    parser = _Parser(prog="gspn " + name, allow_abbrev=False)
+    _complete(parser, all_verbs()[name])
+    return parser
 
 
 def _verbs_text(known: Mapping[str, Union[Verb, OrderVerb]]) -> str:

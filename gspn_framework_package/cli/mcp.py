@@ -8,6 +8,7 @@ import signal
 import sys
 
 from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.mcp_resources import Resources
 from gspn_framework_package.cli.mcp_server import ModelContextServer
 from gspn_framework_package.cli.mcp_tools import CallLimits, PlanTools
 from gspn_framework_package.cli.options import MODULES_OPTION, Argument, Arguments
@@ -36,5 +37,6 @@ def run(args: argparse.Namespace) -> int:
     """Serve until the client closes the connection."""
     tools = PlanTools(args.folder, args.allow_write, CallLimits(args.limit_time, args.limit_output))
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    ModelContextServer(tools, sys.stdin.buffer, sys.stdout.buffer).run()
+    resources = Resources(args.folder, args.limit_output)
+    ModelContextServer(tools, resources, sys.stdin.buffer, sys.stdout.buffer).run()
     return 0

@@ -1,7 +1,8 @@
 """The Model Context Protocol on two streams: JSON-RPC 2.0, one message on each line.
 
-The official library needs Python 3.10 and some forty packages. This package also supports 3.8, and
-needs only the few methods of a server that offers tools.
+The official library needs Python 3.10, a newer jsonschema than Debian 12 has, and some forty
+packages. This package also supports 3.8, and needs only the few methods of a server that offers
+tools and resources; with the library there would be two servers.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import IO, Any, Dict, Optional, Union
 
 from gspn_framework_package import __version__
+from gspn_framework_package.cli.mcp_resources import Resources
 from gspn_framework_package.cli.mcp_tools import Json, PlanTools
 from gspn_framework_package.model.errors import CancelledError, GspnError
 
@@ -25,18 +27,23 @@ AT_ONCE = 2
 """Maximum number of calls processed at the same time; further calls wait."""
 
 PARSE_ERROR, INVALID_REQUEST, NO_SUCH_METHOD, INVALID_PARAMS = -32700, -32600, -32601, -32602
+NO_SUCH_RESOURCE = -32002
 
 
 class ModelContextServer:
     """Answers the requests of one client.
 
     :param tools: the tools that it offers.
+    :param resources: what it lets the client read.
     :param requests: the messages of the client.
     :param answers: the messages to the client.
     """
 
-    def __init__(self, tools: PlanTools, requests: IO[bytes], answers: IO[bytes]) -> None:
-        self._tools, self._requests, self._answers = tools, requests, answers
+    def __init__(
+        self, tools: PlanTools, resources: Resources, requests: IO[bytes], answers: IO[bytes]
+    ) -> None:
+        self._tools, self._resources = tools, resources
+        self._requests, self._answers = requests, answers
         self._names = {tool["name"] for tool in tools.listed()}
         self._lock = threading.Lock()
         self._calls: Dict[Union[str, int], threading.Event] = {}
@@ -84,6 +91,12 @@ class ModelContextServer:
             self._result(key, {"tools": self._tools.listed()})
         elif method == "tools/call":
             self._begin(key, params, pool)
+        elif method == "resources/list":
+            self._result(key, {"resources": self._resources.listed()})
+        elif method == "resources/templates/list":
+            self._result(key, {"resourceTemplates": []})
+        elif method == "resources/read":
+            self._read_resource(key, params)
         else:
             self._error(key, NO_SUCH_METHOD, "there is no method '%.80s'" % method)
 
@@ -91,10 +104,16 @@ class ModelContextServer:
         asked = params.get("protocolVersion")
         return {
             "protocolVersion": asked if asked in VERSIONS else VERSIONS[0],
-            "capabilities": {"tools": {}},
+            "capabilities": {"tools": {}, "resources": {}},
             "serverInfo": {"name": "gspn", "version": __version__},
             "instructions": self._tools.instructions,
         }
+
+    def _read_resource(self, key: Union[str, int], params: Json) -> None:
+        try:
+            self._result(key, self._resources.read(str(params.get("uri"))))
+        except (GspnError, OSError) as error:
+            self._error(key, NO_SUCH_RESOURCE, str(error))
 
     def _begin(self, key: Union[str, int], params: Json, pool: ThreadPoolExecutor) -> None:
         name, arguments = params.get("name"), params.get("arguments") or {}
@@ -123,10 +142,12 @@ class ModelContextServer:
             return cancelled.is_set()
 
         failed = True
+        answer: Json = {}
         try:
             if tick(0.0):
                 raise CancelledError("the call was cancelled")
             text = self._tools.call(name, arguments, tick)
+            answer["structuredContent"] = json.loads(text)
             failed = False
         except GspnError as error:
             text = "error: %s" % error
@@ -135,8 +156,8 @@ class ModelContextServer:
         with self._lock:
             self._calls.pop(key, None)
         if not cancelled.is_set():
-            content: Json = {"content": [{"type": "text", "text": text}], "isError": failed}
-            self._result(key, content if failed else {**content, **_structured(text)})
+            answer.update(content=[{"type": "text", "text": text}], isError=failed)
+            self._result(key, answer)
 
     def _cancel(self, key: Any) -> None:
         with self._lock:
@@ -158,12 +179,3 @@ class ModelContextServer:
                 self._answers.flush()
             except (OSError, ValueError):
                 pass  # the client is gone, and its stream of requests ends too
-
-
-def _structured(text: str) -> Json:
-    """The answer as structured data, in addition to its text; empty if the text was truncated."""
-    try:
-        data = json.loads(text)
-    except (ValueError, RecursionError):
-        return {}
-    return {"structuredContent": data} if isinstance(data, dict) else {}

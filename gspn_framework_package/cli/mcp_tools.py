@@ -3,6 +3,8 @@ ended when it takes too long or is cancelled."""
 
 from __future__ import annotations
 
+import argparse
+import functools
 import json
 import math
 import os
@@ -14,6 +16,7 @@ from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Tuple
 
 import jsonschema
 
+from gspn_framework_package.cli import numbers
 from gspn_framework_package.execution.plan_modules import allowed_modules
 from gspn_framework_package.formats.json_file import json_text, read_json
 from gspn_framework_package.formats.plan_file import PLAN_FILE
@@ -26,6 +29,21 @@ from gspn_framework_package.model.errors import (
     UsageError,
 )
 from gspn_framework_package.visualizer.documents import Folder
+from gspn_framework_package.visualizer.schemas import (
+    FLAG,
+    NAMES,
+    NUMBER,
+    OBJECT,
+    OBJECTS,
+    TEXT,
+    WHOLE,
+    Schema,
+    described_as,
+    list_with,
+    map_to,
+    object_with,
+    or_null,
+)
 
 Json = Dict[str, Any]
 ProgressTick = Callable[[float], bool]
@@ -53,144 +71,233 @@ class CallLimits(NamedTuple):
     characters: int
 
 
-def _text(about: str) -> Json:
-    return {"type": "string", "description": about, "minLength": 1, "maxLength": 2000}
+_LENGTH: Json = {"minLength": 1, "maxLength": 2000}
+"""Of a text."""
+_TEXT: Json = {"type": "string", **_LENGTH}
 
-
-def _texts(about: str) -> Json:
-    return {"type": "array", "items": _text("one of them"), "maxItems": 200, "description": about}
-
-
-def _whole(about: str, least: int = 1, most: int = 10**6) -> Json:
-    return {"type": "integer", "minimum": least, "maximum": most, "description": about}
-
-
-def _number(about: str, least: float = 0.0) -> Json:
-    return {"type": "number", "minimum": least, "maximum": 1e12, "description": about}
-
-
-def _flag(about: str) -> Json:
-    return {"type": "boolean", "description": about}
-
-
-_PLAN = _text("path of a plan's folder or file, or of a net, as list_plans gives it")
-_ROBOTS = _whole("size of the team; by default that of the plan", 1, 10_000)
-MAY_WAIT = _number(
-    "maximum time until the answer in seconds; parts that take longer are left out", 0.1
+_PLAN = described_as(_TEXT, "path of a plan's folder or file, or of a net, as list_plans gives it")
+_OUTPUT = described_as(
+    _TEXT, "path of a new file or folder to write; needs a server with --allow-write"
 )
-OUTPUT = _text("path of a new file or folder to write; needs a server with --allow-write")
-_CONDITION = "a condition on markings, such as \"p3 >= 1 and 'Check L1' == 0\", or deadlock"
-
-AIMS = {
-    "reward": _texts("NAME=R: R per token in a place and second, or per firing of a transition"),
-    "mean_time_to": _text("minimise the mean time until this holds:  " + _CONDITION),
-    "cost_to": _text("minimise the mean cost until this holds; reward gives the costs"),
-    "reach": _text("maximise the probability that this ever holds:  " + _CONDITION),
-    "discount": _number("weight rewards at time t by exp(-discount t) (discount in 1/s)"),
-    "minimise": _flag("minimise the rewards or the probability instead"),
-    "never": _texts("conditions that may never hold"),
-    "at_least": _texts("NAME>=X: in the long run a transition fires at least X times a second"),
+_MAY_WAIT = {
+    "type": "number",
+    "minimum": 0.1,
+    "description": "maximum time until the answer in seconds; parts that take longer are left out",
 }
 
-ABOUT_ALL_MARKINGS = {
-    "never": _texts("conditions that never hold"),
-    "always": _texts("conditions that always hold"),
-    "apart": _texts("patterns of places, such as At_*, that never have two tokens each"),
-    "at_most": _texts("PATTERN=N: no place that matches ever has more than N tokens"),
-    "never_fires": _texts("transitions that never fire"),
-    "returns": _texts("conditions that can come to hold, from every marking"),
-    "ends": _flag("the plan can end, from every marking"),
-    "moves": _flag("every robot that is not at an end can move again, from every marking"),
+_INPUT = ("from", "net", "const", "servers", "controllable")
+_AIM = ("reward", "mean-time-to", "cost-to", "reach", "discount", "minimise")
+_EFFORT = ("limit", "limit-tree", "limit-structure")
+
+OTHER_NAMES = {"may-wait": "may_wait_in"}
+"""Option -> its name as a field, where that is another one: ``may_wait`` is the time of a call."""
+
+_MARKING = map_to({"type": "integer"})
+_FINDING = {"check": TEXT, "severity": TEXT, "text": TEXT}
+_DECIDED = {
+    "kind": TEXT,
+    "about": TEXT,
+    "verdict": described_as(TEXT, "proven, violated or undecided"),
+    "decided_by": TEXT,
+    "sequence?": {"type": ["array", "null"], "items": TEXT},
+    "marking?": or_null(_MARKING),
 }
+_CHECK: Dict[str, Schema] = {
+    "plan?": TEXT,
+    "accepted?": described_as(FLAG, "whether the plan may run"),
+    "verdict?": TEXT,
+    "states?": {"type": ["integer", "null"]},
+    "complete?": FLAG,
+    "items?": list_with(_FINDING),
+    "answers?": list_with(_DECIDED),
+}
+_INTERVALS = map_to({"type": ["object", "null"]})
 
 
 class _Tool(NamedTuple):
+    """A tool.
+
+    :ivar options: the options of its verb that can be given, without dashes; with their help.
+    :ivar fields: other things that can be given, as JSON schemas.
+    :ivar answer: the fields of the answer, with a question mark if they may be missing.
+    """
+
     about: str
-    fields: Json
-    required: Tuple[str, ...] = ("plan",)
     verb: str = ""
+    options: Tuple[str, ...] = ()
+    fields: Json = {}
+    required: Tuple[str, ...] = ("plan",)
+    answer: Mapping[str, Schema] = {}
     writes: bool = False
 
 
 TOOLS = {
-    "list_plans": _Tool("List the plans, nets and recorded runs of the folder.", {}, ()),
+    "list_plans": _Tool(
+        "List the plans, nets and recorded runs of the folder.",
+        required=(),
+        answer={
+            "files": list_with(
+                {"path": TEXT, "kind": described_as(TEXT, "plan, net or log"), "size": WHOLE}
+            )
+        },
+    ),
     "check": _Tool(
         "Check whether a plan may run: structure, dead markings, policy, functions; decide what is "
         "asked about all markings, also of a net. Findings and answers may have a firing sequence, "
         "which explain_witness plays.",
-        {
-            "plan": _PLAN,
-            "robots": _ROBOTS,
-            "standalone": _flag(
-                "check the plan for agents, which transitions may create and destroy"
-            ),
-            **ABOUT_ALL_MARKINGS,
-            "seconds": _number("maximum time for each question in seconds (default 10)"),
-        },
-        verb="check",
+        "check",
+        (
+            "robots",
+            "standalone",
+            "limit",
+            "seconds",
+            "never",
+            "always",
+            "apart",
+            "at-most",
+            "never-fires",
+            "returns",
+            "ends",
+            "moves",
+        ),
+        {"plan": _PLAN},
+        answer=_CHECK,
     ),
     "analyse": _Tool(
         "Analyse a net, or a plan under its policy: invariants, bounds, deadlocks, state space, "
         "steady state, throughputs, and answers to questions.",
-        {
-            "plan": _PLAN,
-            "robots": _ROBOTS,
-            "only_net": _flag("analyse a plan's net by its weights instead of the policy"),
-            "reach": _text("can this be reached: " + _CONDITION),
-            "cover": _text("P=N,...: can a marking with at least these tokens be reached"),
-            "mean_time_to": _text("mean time until this holds: " + _CONDITION),
-            "may_wait": MAY_WAIT,
+        "analyse",
+        (
+            *("robots", "only-net", "rates", "timing", *_INPUT),
+            *("query", "at", "reach", "cover", "mean-time-to", "reward", "time-to-steady-state"),
+            *("no-structure", "no-time", *_EFFORT, "engine", "symbolic", "lump"),
+        ),
+        {"plan": _PLAN, "may_wait": _MAY_WAIT},
+        answer={
+            "name": TEXT,
+            "kind": TEXT,
+            "places?": WHOLE,
+            "transitions?": WHOLE,
+            "states?": or_null(OBJECT),
+            "bounded?": or_null(FLAG),
+            "bounds?": or_null(OBJECT),
+            "deadlocks?": or_null(OBJECT),
+            "live?": or_null(FLAG),
+            "reach?": OBJECTS,
+            "cover?": OBJECTS,
+            "steady_state?": or_null(OBJECT),
+            "queries?": OBJECTS,
+            "undecided?": described_as(map_to(TEXT), "what could not be decided -> why"),
+            "notes?": NAMES,
         },
-        verb="analyse",
     ),
     "simulate": _Tool(
         "Simulate many runs of a net or plan: throughputs and mean tokens with confidence "
-        "intervals.",
+        "intervals; or, with against, an old plan and a new one, for an aim.",
+        "simulate",
+        (
+            *("robots", "only-net", "rates", "timing", *_INPUT),
+            *("time", "until", "warmup", "replications", "precision", "measure", "confidence"),
+            *("batches", "losses", "seed", "seconds", *_AIM),
+        ),
         {
             "plan": _PLAN,
-            "time": _number("length of a run in seconds"),
-            "replications": _whole("number of runs (default 1000)"),
-            "robots": _ROBOTS,
-            "until": _text("ends a run: " + _CONDITION),
-            "seed": _whole("seed of the random numbers (default 0)", 0, 2**31),
-            "may_wait": MAY_WAIT,
+            "against": described_as(_TEXT, "path of the new plan to compare with"),
+            "may_wait": _MAY_WAIT,
         },
-        ("plan", "time"),
-        verb="simulate",
+        answer={
+            "replications?": WHOLE,
+            "throughput?": _INTERVALS,
+            "mean_tokens?": _INTERVALS,
+            "end_time?": or_null(OBJECT),
+            "time_to_condition?": or_null(OBJECT),
+            "old?": OBJECT,
+            "new?": OBJECT,
+            "better?": or_null(TEXT),
+            "text?": TEXT,
+            "notes": NAMES,
+        },
     ),
     "optimise": _Tool(
         "Compute the best policy of a plan for one aim (reward, mean_time_to, cost_to or reach), "
         "with certified bounds.",
-        {"plan": _PLAN, "robots": _ROBOTS, **AIMS, "may_wait": MAY_WAIT, "output": OUTPUT},
-        verb="optimise",
+        "optimise",
+        (
+            *("robots", *_AIM, "never", "at-least", "may-wait", "timing", "rates", "uncertain"),
+            *("team-sizes", "width", "simulate", "seed", *_EFFORT),
+        ),
+        {"plan": _PLAN, "may_wait": _MAY_WAIT, "output": _OUTPUT},
+        answer={
+            "objective": OBJECT,
+            "value": or_null(NUMBER),
+            "lower": or_null(NUMBER),
+            "upper": or_null(NUMBER),
+            "present_policy": OBJECT,
+            "gain": or_null(NUMBER),
+            "teams": OBJECTS,
+            "constraints": OBJECTS,
+            "choices": OBJECTS,
+            "simulation?": or_null(OBJECT),
+            "plan?": or_null(OBJECT),
+            "notes?": NAMES,
+        },
         writes=True,
     ),
     "explain_witness": _Tool(
         "Play a firing sequence step by step, with the marking after each firing and why one "
-        "cannot fire; by default the sequences behind the findings of check.",
+        "cannot fire; by default the sequences behind the findings of check. With run_net: what "
+        "the nodes of the run net stand for.",
+        "explain",
+        ("robots", "limit", "run-net", "timing"),
         {
             "plan": _PLAN,
-            "robots": _ROBOTS,
-            "transitions": _texts("the transitions to fire, in order"),
+            "transitions": {
+                "type": "array",
+                "items": _TEXT,
+                "maxItems": 200,
+                "description": "the transitions to fire, in order",
+            },
         },
-        verb="explain",
+        answer={
+            "plan": TEXT,
+            "sequences?": list_with(
+                {"text": TEXT, "start": _MARKING, "steps": OBJECTS, "stopped_by": TEXT}
+            ),
+            "places?": OBJECT,
+            "transitions?": OBJECT,
+        },
     ),
     "draft_plan": _Tool(
         "Draft a plan and check it: from a template (%s), or as a complete document including its "
         "net (keys net, actions, policy, robots; docs/plan_file.md). Returns the files and the "
         "result of the check." % ", ".join(templates.templates_by_name()),
+        "new",
+        ("robots", "places"),
         {
             "template": {"enum": list(templates.templates_by_name())},
-            "robots": _ROBOTS,
-            "places": _texts("where the robots go, for templates that take places"),
             "document": {"type": "object", "description": "the plan, instead of a template"},
-            "output": OUTPUT,
+            "output": _OUTPUT,
         },
         (),
-        verb="new",
+        answer={
+            "written_to": or_null(TEXT),
+            "check": object_with(_CHECK),
+            "files": map_to(TEXT),
+        },
         writes=True,
     ),
 }
+
+WITHHELD = {
+    **dict.fromkeys(("help", "debug", "json"), "of the command line only"),
+    **dict.fromkeys(("csv", "log", "certificate", "output", "force"), "writes files"),
+    **dict.fromkeys(("memory", "scratch"), "fills the disk"),
+    **dict.fromkeys(("on", "modules"), "whoever starts the server decides where what is computed"),
+    **dict.fromkeys(("limit-time", "limit-memory"), "limits of the server"),
+    "against": "a path: a field of its own",
+    **dict.fromkeys(("example", "list"), "resources and list_plans have it"),
+}
+"""Option of a verb -> why it cannot be given to a tool."""
 
 
 class PlanTools:
@@ -217,6 +324,7 @@ class PlanTools:
                 "name": name,
                 "description": tool.about,
                 "inputSchema": _schema(tool),
+                "outputSchema": object_with(tool.answer),
                 "annotations": {
                     "readOnlyHint": not (tool.writes and self._writes),
                     "destructiveHint": False,
@@ -227,7 +335,7 @@ class PlanTools:
         ]
 
     def call(self, name: str, arguments: Mapping[str, Any], tick: ProgressTick) -> str:
-        """Answer one call with a text, which is JSON unless it was truncated.
+        """Answer one call with a JSON object, as text.
 
         :param tick: called at intervals with the seconds since the start; returns whether the
             client has cancelled the call.
@@ -240,16 +348,18 @@ class PlanTools:
             where = ".".join(str(step) for step in error.absolute_path)
             raise UsageError(error.message[:300], element=where or None) from None
         if name == "list_plans":
-            return self._cut(
+            return self._short(
                 json.dumps({"files": [entry._asdict() for entry in self._folder.entries()]})
             )
         output = self._output(fields.pop("output", None))
         seconds = min(fields.pop("may_wait", math.inf), self._limits.seconds)
         run = _Runs(self._folder.root, self._limits._replace(seconds=seconds), tick)
         if name == "draft_plan":
-            return self._cut(self._draft(fields, output, run))
+            return self._short(self._draft(fields, output, run))
         named = ["--", self._path(fields.pop("plan")), *fields.pop("transitions", [])]
         words = [tool.verb, "--json"]
+        if "against" in fields:
+            words.append("--against=" + self._path(fields.pop("against")))
         if name == "check":
             words += _modules()
         if name in (
@@ -259,7 +369,7 @@ class PlanTools:
             words.append("--limit-time=%g" % (seconds / PARTS))
         if output:
             words.append("--output=" + output)
-        return self._cut(run.run([*words, *_options(fields), *named]))
+        return self._short(run.run([*words, *_options(fields), *named]))
 
     def _path(self, path: str) -> str:
         """The path of something to read, for a command line in the folder."""
@@ -318,11 +428,16 @@ class PlanTools:
         except OSError as error:
             raise InputError("cannot be written (%s)" % error.strerror, file=output) from None
 
-    def _cut(self, text: str) -> str:
+    def _short(self, text: str) -> str:
+        """The answer. :raises LimitError: it is too long."""
         most = self._limits.characters
-        if len(text) <= most:
-            return text
-        return "%s\n[cut: the first %d of %d characters]" % (text[:most], most, len(text))
+        if len(text) > most:
+            raise LimitError(
+                "the answer has %d characters, of which these are the first %d:\n%s\n"
+                % (len(text), most, text[:most]),
+                hint="ask for less, or start the server with a higher --limit-output",
+            )
+        return text
 
 
 class _Runs:
@@ -375,10 +490,42 @@ class _Runs:
                 )
 
 
+@functools.lru_cache(maxsize=None)
+def _options_of(verb: str) -> Mapping[str, argparse.Action]:
+    """The options of a verb: name without dashes -> the option."""
+    from gspn_framework_package.cli.main import verb_parser  # it loads this module
+
+    actions = verb_parser(verb)._actions
+    return {a.option_strings[-1][2:]: a for a in actions if a.option_strings}
+
+
+def _field_name(option: str) -> str:
+    return OTHER_NAMES.get(option, option.replace("-", "_"))
+
+
+def _option_schema(option: argparse.Action) -> Schema:
+    """What an option takes, with its help."""
+    read = option.type
+    schema: Schema = dict(_TEXT)
+    if option.nargs == 0:
+        schema = FLAG
+    elif option.choices is not None:
+        schema = {"enum": list(option.choices)}
+    elif isinstance(read, numbers.WholeNumbers):
+        schema = {"type": "integer", "minimum": read.least, "maximum": read.most}
+    elif isinstance(read, numbers.RealNumbers) or read is float:
+        schema = NUMBER
+    if isinstance(option.default, list) or option.nargs == "+":
+        schema = {"type": ["array", schema["type"]], "items": schema, "maxItems": 200, **_LENGTH}
+    return described_as(schema, (option.help or "") % {"default": option.default})
+
+
 def _schema(tool: _Tool) -> Json:
+    options = _options_of(tool.verb) if tool.options else {}
+    given = {_field_name(name): _option_schema(options[name]) for name in tool.options}
     return {
         "type": "object",
-        "properties": tool.fields,
+        "properties": {**tool.fields, **given},
         "required": list(tool.required),
         "additionalProperties": False,
     }
@@ -392,8 +539,9 @@ def _modules() -> List[str]:
 def _options(fields: Mapping[str, Any]) -> List[str]:
     """Format the options of a command line so that their values cannot be mistaken for options."""
     words: List[str] = []
+    options = {field: option for option, field in OTHER_NAMES.items()}
     for name, value in fields.items():
-        option = "--" + name.replace("_", "-")
+        option = "--" + options.get(name, name.replace("_", "-"))
         if isinstance(value, bool):
             words += [option] if value else []
         else:

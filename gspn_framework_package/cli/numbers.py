@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import math
-from typing import Callable, Optional
+from dataclasses import dataclass
+from typing import Optional
 
 MOST_MARKINGS = 10**12
 """Largest limit on markings: no machine can store more."""
@@ -17,39 +18,57 @@ MOST_REPLICATIONS = 10**6
 the spread of a single run."""
 
 
-def whole(least: int, most: int) -> Callable[[str], int]:
-    """Return a type for ``add_argument``: a whole number from ``least`` to ``most``."""
+@dataclass(frozen=True)
+class WholeNumbers:
+    """The whole numbers from ``least`` to ``most``. Called, it reads one from a text."""
 
-    def read(text: str) -> int:
+    least: int
+    most: int
+
+    def __call__(self, text: str) -> int:
+        """Read a number. :raises ArgumentTypeError: it is none, or not one of these."""
         try:
             value = int(text) if len(text) <= 40 else None
         except ValueError:
             value = None
-        if value is None or not least <= value <= most:
+        if value is None or not self.least <= value <= self.most:
             raise argparse.ArgumentTypeError(
-                "'%.40s' is not a whole number from %d to %d" % (text, least, most)
+                "'%.40s' is not a whole number from %d to %d" % (text, self.least, self.most)
             )
         return value
 
-    return read
 
+@dataclass(frozen=True)
+class RealNumbers:
+    """The numbers from ``least`` (or, with ``above``, greater than ``above``) to ``most``, which
+    may be infinite; never NaN. Called, it reads one from a text."""
 
-def number(least: float, most: float, *, above: Optional[float] = None) -> Callable[[str], float]:
-    """Return a type for ``add_argument``: a number from ``least`` (or, with ``above``, greater than
-    ``above``) to ``most``, which may be infinite; never NaN."""
+    least: float
+    most: float
+    above: Optional[float] = None
 
-    def read(text: str) -> float:
+    def __call__(self, text: str) -> float:
+        """Read a number. :raises ArgumentTypeError: it is none, or not one of these."""
         try:
             value = float(text)
         except ValueError:
             value = math.nan
-        if not least <= value <= most or (above is not None and value <= above):
-            begin = "from %g" % least if above is None else "above %g" % above
-            end = "" if most == math.inf else " to %g" % most
+        above = self.above is None or value > self.above
+        if not (self.least <= value <= self.most and above):
+            begin = "from %g" % self.least if self.above is None else "above %g" % self.above
+            end = "" if self.most == math.inf else " to %g" % self.most
             raise argparse.ArgumentTypeError("'%.40s' is not a number %s%s" % (text, begin, end))
         return value
 
-    return read
+
+def whole(least: int, most: int) -> WholeNumbers:
+    """Return a type for ``add_argument``: a whole number from ``least`` to ``most``."""
+    return WholeNumbers(least, most)
+
+
+def number(least: float, most: float, *, above: Optional[float] = None) -> RealNumbers:
+    """Return a type for ``add_argument``: a number; see :class:`RealNumbers`."""
+    return RealNumbers(least, most, above)
 
 
 markings = whole(1, MOST_MARKINGS)

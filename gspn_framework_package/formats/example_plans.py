@@ -13,6 +13,14 @@ ALL_EXAMPLES = "all"
 """Stands for all examples in place of a name."""
 
 
+def share_folder() -> str:
+    """Return the folder of this package's data files where it is installed; it need not exist."""
+    package = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    # PREFIX/lib/python3/dist-packages/PACKAGE
+    prefix = os.path.normpath(os.path.join(package, *[os.pardir] * 4))
+    return os.path.join(prefix, "share", os.path.basename(package))
+
+
 def plans_folder() -> str:
     """Return the folder of the example plans: in this package if pip has installed it, beside it in
     a checkout, or in its share folder if catkin or Debian has installed it.
@@ -21,9 +29,7 @@ def plans_folder() -> str:
     """
     package = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
     candidates = [os.path.join(package, "plans"), os.path.join(os.path.dirname(package), "plans")]
-    # PREFIX/lib/python3/dist-packages/PACKAGE
-    prefix = os.path.normpath(os.path.join(package, *[os.pardir] * 4))
-    candidates.append(os.path.join(prefix, "share", os.path.basename(package), "plans"))
+    candidates.append(os.path.join(share_folder(), "plans"))
     for candidate in candidates:
         if os.path.isdir(candidate):
             return candidate

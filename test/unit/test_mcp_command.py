@@ -13,11 +13,14 @@ import threading
 import time
 from pathlib import Path
 
+import jsonschema
 import psutil
 import pytest
 from waiting import PATIENCE
 
 from gspn_framework_package.cli import mcp_tools
+from gspn_framework_package.cli.main import verb_parser
+from gspn_framework_package.cli.mcp_resources import Resources
 from gspn_framework_package.cli.mcp_server import VERSIONS, ModelContextServer
 from gspn_framework_package.cli.mcp_tools import CallLimits, PlanTools
 from gspn_framework_package.model.errors import CancelledError, GspnError, LimitError
@@ -42,7 +45,11 @@ def _tools(plans):
 
 
 def call(tools, name, **arguments):
-    return json.loads(tools.call(name, arguments, lambda seconds: False))
+    answer = json.loads(tools.call(name, arguments, lambda seconds: False))
+    (schema,) = (tool["outputSchema"] for tool in tools.listed() if tool["name"] == name)
+    jsonschema.validate(answer, schema)
+    assert set(schema["required"]) <= set(answer)
+    return answer
 
 
 def refused(tools, name, **arguments):
@@ -71,8 +78,16 @@ def test_questions_about_all_markings_are_decided(tools):
 
 
 def test_numbers_are_those_of_the_command_line(tools):
-    analysis = call(tools, "analyse", plan="tokens", reach="p3 >= 1")
+    analysis = call(
+        tools, "analyse", plan="tokens", reach="p3 >= 1", at=[1, 2.5], no_structure=True
+    )
     assert analysis["places"] == 7 and "p3 >= 1" in json.dumps(analysis)
+    assert analysis["place_invariants"] is None
+    asked = ["P=? [ F<=10 p3 >= 1 ]", "AG EF p1 = 1"]
+    answers = call(tools, "analyse", plan="tokens/net.xml", query=asked, servers="single")[
+        "queries"
+    ]
+    assert [answer["query"] for answer in answers] == asked
     simulated = call(tools, "simulate", plan="tokens", time=50, replications=20, seed=3)
     assert simulated["replications"] == 20 and simulated["seed"] == 3
 
@@ -81,6 +96,45 @@ def test_who_calls_says_how_long_the_answer_may_take(tools):
     assert call(tools, "analyse", plan="tokens", may_wait=90)["places"] == 7
     told = refused(tools, "simulate", plan="tokens", time=1e9, replications=10**6, may_wait=0.2)
     assert "no answer within 0.2 seconds" in told
+
+
+@pytest.mark.long
+def test_plans_are_compared_and_optimised_under_constraints(tools):
+    compared = call(
+        tools, "simulate", plan="rendezvous", against="rendezvous", reward="Fetched=1", seconds=0.5
+    )
+    assert compared["old"] == compared["new"]
+    assert "only files" in refused(tools, "simulate", plan="tokens", against="../outside.json")
+    best = call(
+        tools,
+        "optimise",
+        plan="rendezvous",
+        reward=["Fetched=1"],
+        may_wait_in=["Low"],
+        simulate=0,
+    )
+    assert best["lower"] <= best["value"] <= best["upper"]
+    names = call(tools, "explain_witness", plan="tokens", run_net=True)
+    assert names["places"] and "sequences" not in names
+
+
+def test_every_option_of_the_verbs_is_a_field_or_withheld_for_a_reason(tools):
+    listed = {tool["name"]: tool for tool in tools.listed()}
+    for name, tool in mcp_tools.TOOLS.items():
+        schema = listed[name]["inputSchema"]
+        jsonschema.Draft7Validator.check_schema(schema)
+        jsonschema.Draft7Validator.check_schema(listed[name]["outputSchema"])
+        assert all(
+            field.get("description") or "enum" in field for field in schema["properties"].values()
+        )
+        if tool.verb:
+            options = {
+                action.option_strings[-1].lstrip("-")
+                for action in verb_parser(tool.verb)._actions
+                if action.option_strings
+            }
+            assert not set(tool.options) & set(mcp_tools.WITHHELD)
+            assert options == {*tool.options, *(options & set(mcp_tools.WITHHELD))}, name
 
 
 def test_a_refused_plan_is_an_answer_and_not_an_error(tools, plans):
@@ -173,7 +227,51 @@ def test_a_call_has_limits_and_can_be_cancelled(plans, monkeypatch):
         short.call("simulate", {"plan": "tokens", "time": 1e9}, lambda seconds: False)
     with pytest.raises(CancelledError):
         short.call("simulate", {"plan": "tokens", "time": 1e9}, lambda seconds: True)
-    assert "[cut: the first 300 of" in short.call("list_plans", {}, lambda seconds: False)
+    short = PlanTools(str(plans), False, CallLimits(100.0, 300))
+    with pytest.raises(LimitError, match="of which these are the first 300:"):
+        short.call("check", {"plan": "tokens"}, lambda seconds: False)
+
+
+# -- what can be read
+
+
+def test_plans_and_documents_can_be_read(plans):
+    resources = Resources(str(plans), 200_000)
+    listed = {resource["uri"]: resource for resource in resources.listed()}
+    assert listed["gspn://files/tokens/plan.json"]["mimeType"] == "application/json"
+    assert listed["gspn://docs/plan_file.md"]["description"]
+    for uri, whole in (
+        ("gspn://files/tokens/plan.json", plans / "tokens" / "plan.json"),
+        ("gspn://docs/plan_file.md", ROOT / "docs" / "plan_file.md"),
+    ):
+        (content,) = resources.read(uri)["contents"]
+        assert (content["uri"], content["text"]) == (uri, whole.read_text("utf-8"))
+    for uri in listed:
+        resources.read(uri)
+
+
+@pytest.mark.parametrize(
+    "uri",
+    [
+        "gspn://files/../outside.json",
+        "gspn://files/way_out/outside.json",
+        "gspn://files/%2Fetc/passwd",
+        "gspn://files/tokens/actions.py",
+        "gspn://files/no_such.json",
+        "gspn://docs/../setup.py",
+        "gspn://docs/conf.py",
+        "file:///etc/passwd",
+        "None",
+    ],
+)
+def test_nothing_else_can_be_read(plans, uri):
+    with pytest.raises(GspnError):
+        Resources(str(plans), 200_000).read(uri)
+
+
+def test_what_is_too_long_is_not_read(plans):
+    with pytest.raises(LimitError, match="more than 100 characters"):
+        Resources(str(plans), 100).read("gspn://files/tokens/plan.json")
 
 
 def test_every_tool_is_documented():
@@ -205,14 +303,14 @@ class _Echo:
             while not tick(1.0):
                 self.go_on.wait(0.01)
             raise CancelledError("cancelled")
-        return "said %s" % json.dumps(arguments)
+        return json.dumps({"said": arguments})
 
 
 def exchange(*messages):
     """What the server answers to messages that come at once."""
     lines = [m if isinstance(m, bytes) else json.dumps(m).encode() for m in messages]
     answers = io.BytesIO()
-    ModelContextServer(_Echo(), io.BytesIO(b"\n".join(lines) + b"\n"), answers).run()
+    ModelContextServer(_Echo(), None, io.BytesIO(b"\n".join(lines) + b"\n"), answers).run()
     return [json.loads(line) for line in answers.getvalue().splitlines()]
 
 
@@ -225,7 +323,7 @@ def test_the_greeting_agrees_on_a_version():
         (answer,) = exchange(request("initialize", protocolVersion=asked))
         assert answer["result"]["protocolVersion"] == answered
         assert answer["result"]["serverInfo"]["name"] == "gspn"
-        assert answer["result"]["capabilities"] == {"tools": {}}
+        assert answer["result"]["capabilities"] == {"tools": {}, "resources": {}}
 
 
 def test_requests_are_answered_and_notifications_are_not():
@@ -264,7 +362,7 @@ def serve():
 
     def run():
         with ends[0], ends[1]:
-            ModelContextServer(tools, ends[0], ends[1]).run()
+            ModelContextServer(tools, None, ends[0], ends[1]).run()
 
     def read():
         with os.fdopen(from_server, "rb") as file:
@@ -291,7 +389,8 @@ def test_calls_end_in_an_answer_progress_or_silence():
         answer["id"]: answer["result"]
         for answer in (news.get(timeout=20 * PATIENCE) for _ in "123")
     }
-    assert answers[1]["content"] == [{"type": "text", "text": 'said {"a": "\\u00fc"}'}]
+    assert answers[1]["content"] == [{"type": "text", "text": '{"said": {"a": "\\u00fc"}}'}]
+    assert answers[1]["structuredContent"] == {"said": {"a": "ü"}}
     assert not answers[1]["isError"] and answers[2]["isError"] and answers[3]["isError"]
     assert answers[2]["content"][0]["text"] == "error: no (yes)"
     assert "ValueError" in answers[3]["content"][0]["text"]
@@ -307,6 +406,24 @@ def test_calls_end_in_an_answer_progress_or_silence():
     send.close()
     left = list(iter(lambda: news.get(timeout=20 * PATIENCE), None))
     assert [m["id"] for m in left if "id" in m] == [5]  # nobody waits for a cancelled call
+
+
+def test_resources_are_listed_and_read_over_the_protocol(plans):
+    lines = [
+        request("resources/list"),
+        request("resources/templates/list", 2),
+        request("resources/read", 3, uri="gspn://files/tokens/plan.json"),
+        request("resources/read", 4, uri="gspn://files/../outside.json"),
+        request("resources/read", 5),
+    ]
+    answers, text = io.BytesIO(), b"\n".join(json.dumps(line).encode() for line in lines)
+    resources = Resources(str(plans), 200_000)
+    ModelContextServer(_Echo(), resources, io.BytesIO(text + b"\n"), answers).run()
+    listed, templates, read, *refusals = map(json.loads, answers.getvalue().splitlines())
+    assert "gspn://files/tokens/plan.json" in [r["uri"] for r in listed["result"]["resources"]]
+    assert templates["result"] == {"resourceTemplates": []}
+    assert json.loads(read["result"]["contents"][0]["text"])["net"]
+    assert [refusal["error"]["code"] for refusal in refusals] == [-32002, -32002]
 
 
 @contextlib.contextmanager

@@ -163,8 +163,12 @@ def test_the_extras_want_the_versions_that_the_tests_run_with(monkeypatch):
 
 
 def test_a_source_distribution_holds_what_setup_py_reads(monkeypatch):
-    files = [file for _, names in setup_py(monkeypatch)["data_files"] for file in names]
+    (share, files), (folder, documents) = setup_py(monkeypatch)["data_files"]
     assert files == ["package.xml"]
+    assert (folder, documents) == (
+        share + "/docs",
+        sorted("docs/" + path.name for path in (ROOT / "docs").glob("*.md")),
+    )
 
 
 def test_pip_shows_what_the_package_is_and_installs_its_plans(monkeypatch):
