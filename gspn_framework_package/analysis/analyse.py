@@ -13,7 +13,9 @@
 
 from __future__ import annotations
 
-import itertools
+import contextlib
+import math
+import time
 from dataclasses import replace
 from functools import cached_property
 from typing import (
@@ -21,6 +23,7 @@ from typing import (
     Collection,
     Dict,
     FrozenSet,
+    Iterable,
     List,
     Mapping,
     NamedTuple,
@@ -184,17 +187,26 @@ class Analysis:
                     "not decided, since the net is unbounded",
                     hint="%s can grow without bound" % ", ".join(self.growing_places),
                 )
-            try:
-                found = self.structure.place_invariants
-            except LimitError:
-                found = []
-            self._counts = count_markings(
-                self.net.without_places(self.uncounted),
-                together=[list(invariant.weights) for invariant in found],
-                memory=self.limits.memory,
-                watch=self._watch(seconds),
-            )
+            begin = time.monotonic()
+            self._counts = self._count(self.uncounted, seconds)
+            if self.uncounted and not self.growing_places:  # they may be bounded after all
+                took = time.monotonic() - begin
+                with contextlib.suppress(LimitError):
+                    self._counts = self._count((), min(seconds or math.inf, 1.0 + 4.0 * took))
+                    self.uncounted = ()
         return self._counts
+
+    def _count(self, without: Iterable[str], seconds: Optional[float]) -> MarkingCounts:
+        net, watch = self.net.without_places(without), self._watch(seconds)
+        return count_markings(net, self._invariants, memory=self.limits.memory, watch=watch)
+
+    @cached_property
+    def _invariants(self) -> List[Mapping[str, int]]:
+        """The weights of the P-invariants, none if there are too many."""
+        try:
+            return [invariant.weights for invariant in self.structure.place_invariants]
+        except LimitError:
+            return []
 
     @cached_property
     def growing_places(self) -> List[str]:
@@ -356,12 +368,8 @@ class Analysis:
     def _proved_bounds(self) -> Dict[str, Optional[int]]:
         """The bounds of all places from the P-invariants; None if these do not bound every
         place."""
-        try:
-            found = self.structure.place_invariants
-        except LimitError:
-            found = []
         number = self.net.place_index
-        rows = [[(number[name], w) for name, w in invariant.weights.items()] for invariant in found]
+        rows = [[(number[name], w) for name, w in found.items()] for found in self._invariants]
         return dict(zip(number, bounds_of(self.net, rows, self.net.initial_marking)))
 
     def _unbounded_places(self) -> Optional[List[str]]:
@@ -449,27 +457,11 @@ class Analysis:
 
     def _most_gained(self, place: str) -> int:
         """The most tokens that a firing sequence can put into a counter that no cycle feeds."""
-        space = self.space
-        gain = np.zeros(len(self.net.transitions) + space.further_steps, dtype=np.int64)
+        gain = np.zeros(len(self.net.transitions) + self.space.further_steps, dtype=np.int64)
         p = self.net.place_number(place)
         for t in range(len(self.net.transitions)):
             gain[t] = sum(w for q, w in self.net.outputs[t] if q == p)
-        found = self.properties.components
-        sources, gains = found.of[space.sources], gain[space.transitions]
-        targets = found.of[space.targets]
-        across = sources != targets
-        sources, targets, gains = sources[across], targets[across], gains[across]
-        most = np.zeros(found.number, dtype=np.int64)
-        watch = self._watch()
-        # longest paths in an acyclic graph, in as many rounds as the longest has arcs
-        for rounds in itertools.count():
-            watch.step("rounds", rounds)
-            better = most.copy()
-            np.maximum.at(better, targets, most[sources] + gains)
-            if (better == most).all():
-                return int(most.max())
-            most = better
-        raise AssertionError("a longest path has an end")
+        return self.properties.most_gained(gain, self._watch())
 
     # -- conditions --------------------------------------------------------------------------------
 

@@ -15,6 +15,7 @@
 from __future__ import annotations
 
 import enum
+import itertools
 from functools import cached_property, lru_cache
 from typing import Dict, List, Optional
 
@@ -23,6 +24,7 @@ import numpy as np
 from gspn_framework_package.analysis.arrays import Indices
 from gspn_framework_package.analysis.graph import Components, can_reach, components
 from gspn_framework_package.analysis.state_space.space import StateSpace, WitnessStep
+from gspn_framework_package.analysis.watch import Watch
 
 
 class Liveness(enum.IntEnum):
@@ -127,6 +129,26 @@ class Properties:
         set in it."""
         found = np.flatnonzero(states)
         return self.space.witness(int(found[0])) if len(found) else None
+
+    def most_gained(self, gain: Indices, watch: Watch) -> int:
+        """The most that a firing sequence gains in all.
+
+        :param gain: what each transition gains, nothing if a cycle has it.
+        """
+        space, found = self.space, self.components
+        sources, targets = found.of[space.sources], found.of[space.targets]
+        across = sources != targets
+        sources, targets, gains = sources[across], targets[across], gain[space.transitions][across]
+        most = np.zeros(found.number, dtype=np.int64)
+        # longest paths in an acyclic graph, in as many rounds as the longest has arcs
+        for rounds in itertools.count():
+            watch.step("rounds", rounds)
+            better = most.copy()
+            np.maximum.at(better, targets, most[sources] + gains)
+            if (better == most).all():
+                return int(most.max())
+            most = better
+        raise AssertionError("a longest path has an end")
 
 
 @lru_cache(maxsize=4)

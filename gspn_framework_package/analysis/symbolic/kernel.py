@@ -73,10 +73,10 @@ class StepArrays(NamedTuple):
 
 
 # registers
-NODES, USED, DEPTH, HEIGHT, RESULT, WORK = range(6)
+NODES, USED, DEPTH, HEIGHT, RESULT, WORK, FORGOTTEN = range(7)
 """Numbers of nodes, of children, of frames, of values on the second stack; the last result; the
-elementary operations so far."""
-REGISTERS = 6
+elementary operations so far; the number of stored results that others took the place of."""
+REGISTERS = 7
 
 # frames
 MODE, FRAME_LEVEL, FIRST, SECOND, AT, FRAME_ROW, WAITS, BASE, LOW = range(9)
@@ -106,9 +106,11 @@ def recall(keys: Numbers, values: Numbers, a: int, b: int) -> int:
     return -1
 
 
-def remember(keys: Numbers, values: Numbers, a: int, b: int, result: int) -> None:
+def remember(st: Numbers, keys: Numbers, values: Numbers, a: int, b: int, result: int) -> None:
     """Store a result; it takes the place of another."""
     slot = pair_hash(a, b) & (len(keys) - 1)
+    if keys[slot] != 0:
+        st[FORGOTTEN] += 1
     keys[slot] = (a << 32) + b
     values[slot] = result
 
@@ -279,7 +281,7 @@ def go_on_with_union(store: NodeStore, st: Numbers, stack: Numbers, vec: Numbers
         height += 1
         at += 1
     node = node_of(store, st, vec, base, height, first)
-    remember(store.joined, store.joined_to, a, b, node)
+    remember(st, store.joined, store.joined_to, a, b, node)
     pop(st, base, node)
     return DONE
 
@@ -343,7 +345,7 @@ def go_on_with_fire(
         stack[f + SECOND] = node
         return DONE
     result = node_of(store, st, vec, base, height, first)
-    remember(store.fired, store.fired_to, step, node, result)
+    remember(st, store.fired, store.fired_to, step, node, result)
     pop(st, base, result)
     return DONE
 
@@ -400,7 +402,7 @@ def go_on_with_saturate(
         return MORE_CHILDREN
     node = node_of(store, st, vec, base, st[HEIGHT], stack[f + LOW])
     if stack[f + FIRST] >= 0:
-        remember(store.fired, store.fired_to, stack[f + FIRST], stack[f + SECOND], node)
+        remember(st, store.fired, store.fired_to, stack[f + FIRST], stack[f + SECOND], node)
     pop(st, base, node)
     return DONE
 

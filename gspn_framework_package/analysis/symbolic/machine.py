@@ -12,6 +12,7 @@ from gspn_framework_package.analysis.state_space.space import numba_is_there
 from gspn_framework_package.analysis.symbolic import kernel
 from gspn_framework_package.analysis.symbolic.kernel import (
     DONE,
+    FORGOTTEN,
     HEIGHT,
     MORE_CHILDREN,
     MORE_FRAMES,
@@ -150,6 +151,8 @@ class Machine:
             self._stack = self._longer(self._stack)
         elif outcome == MORE_VALUES:
             self._vec, self._dirty = self._longer(self._vec), self._longer(self._dirty)
+        elif self._st[FORGOTTEN] > len(self.store.fired):
+            self.store = self._with_more_results(self.store)
         return False
 
     def children(self, node: int) -> Tuple[int, List[int]]:
@@ -165,16 +168,24 @@ class Machine:
             low=self._longer(old.low),
             table=self._zeros(2 * len(old.table), np.int32),
         )
-        if len(old.fired) < _MOST_CACHED:
-            # the results are found again, which takes less than moving them
-            store = store._replace(
-                fired=self._zeros(2 * len(old.fired), np.int64),
-                fired_to=self._zeros(2 * len(old.fired), np.int32),
-                joined=self._zeros(2 * len(old.fired), np.int64),
-                joined_to=self._zeros(2 * len(old.fired), np.int32),
-            )
+        if len(old.fired) < len(store.start):
+            store = self._with_more_results(store)
         self._form.enter_nodes(store, self._st[NODES])
         self.store = store
+
+    def _with_more_results(self, store: NodeStore) -> NodeStore:
+        """Make room for twice as many results, which are found again: that takes less than moving
+        them."""
+        self._st[FORGOTTEN] = 0
+        size = 2 * len(store.fired)
+        if size > _MOST_CACHED:
+            return store
+        return store._replace(
+            fired=self._zeros(size, np.int64),
+            fired_to=self._zeros(size, np.int32),
+            joined=self._zeros(size, np.int64),
+            joined_to=self._zeros(size, np.int32),
+        )
 
     def _zeros(self, size: int, dtype: Any) -> Numbers:
         return np.zeros(size, dtype=dtype) if self._compiled else [0] * size

@@ -7,7 +7,7 @@ wins, since no rule tells beforehand which of them keeps the diagram small.
 
 from __future__ import annotations
 
-from typing import Dict, Iterable, List, NamedTuple, Optional, Tuple
+from typing import Dict, Iterable, Iterator, List, NamedTuple, Optional, Tuple
 
 from gspn_framework_package.analysis.limits import DEFAULT_MEMORY
 from gspn_framework_package.analysis.symbolic.kernel import IDENTITY, NO_MARKING, UNIT
@@ -34,16 +34,16 @@ _PLAIN_TURNS = 100_000
 """Operations of all orders together, in plain Python (a second), before the compiled form takes
 over: loading that takes as long."""
 
-_ORDERS = 8
+_ORDERS = 10
 """Largest number of orders to try."""
 
 _SLICE = {False: 10_000, True: 1_000_000}
 """Operations between two looks at the clock, plain and compiled: a tenth of a second."""
 
 
-_ROWS_AT_ONCE = 20_000
-"""Rows of the step from the markings that enable no transition (a tenth of a second); if it takes
-more, one transition after the other is left out."""
+_ROWS_AT_ONCE, _ROWS_EACH = 20_000, 16
+"""Rows of a step from the markings that enable none of some transitions (a tenth of a second), and
+rows for each place that they ask; if it takes more, there is one step for half of them."""
 
 
 class MarkingCounts(NamedTuple):
@@ -75,8 +75,8 @@ class MarkingCounts(NamedTuple):
 
 def count_markings(
     net: Net,
-    *,
     together: Iterable[Iterable[str]] = (),
+    *,
     memory: float = DEFAULT_MEMORY,
     watch: Optional[Watch] = None,
     form: Optional[KernelForm] = None,
@@ -324,10 +324,8 @@ class _Counting:
         """The markings of a set that enable none of these transitions."""
         diagram = self._diagram
         rules = [rule for rule in (diagram.rules[t] for t in transitions) if rule is not None]
-        try:
-            steps = [diagram.table.step(NO_CONDITION, Precedence(rules), most_rows=_ROWS_AT_ONCE)]
-        except TooManyCasesError:  # one by one, which is slower
-            steps = [diagram.table.step(NO_CONDITION, Precedence([rule])) for rule in rules]
+        rules.sort(key=lambda rule: (max(rule.guard, default=0), min(rule.guard, default=0)))
+        steps = list(self._none_enabled(rules))
         diagram.machine.use(diagram.table.lists())
         for step in steps:
             if step == NO_STEP or root == NO_MARKING:
@@ -341,6 +339,23 @@ class _Counting:
                     raise _no_room(self._memory, diagram.machine.nodes)
             root = diagram.machine.result
         return root
+
+    def _none_enabled(self, rules: List[FiringRule]) -> Iterator[int]:
+        """Steps from the markings in which none of these rules is enabled, to be taken one after
+        the other: one for as many rules as it stays small for."""
+        number = len(rules)
+        while rules:
+            some = rules[:number]
+            rows = min(_ROWS_AT_ONCE, _ROWS_EACH * sum(len(rule.guard) for rule in some))
+            try:
+                yield self._diagram.table.step(NO_CONDITION, Precedence(some), most_rows=rows)
+            except TooManyCasesError:
+                if number == 1:
+                    raise
+                number = min(number, len(some)) // 2
+            else:
+                rules = rules[number:]
+                self._watch.step("transitions", len(rules))
 
     def _bounds(self, levels: List[List[int]]) -> Dict[str, int]:
         diagram = self._diagram
