@@ -10,5 +10,5 @@ Modules: ``activity``, ``analysis_jobs``, ``analysis_worker``, ``app``, ``bag_re
 ``recording``, ``replay``, ``ros_node``, ``ros_poses``, ``ros_prediction``, ``ros_watch``,
 ``run_marks``, ``run_stories``, ``scene``, ``schemas``, ``serving``, ``session``, ``simulation``,
 ``simulation_form``, ``standalone_run``, ``streams``, ``team_connection``, ``team_events``,
-``team_watch``, ``zenoh_connection``.
+``team_watch``, ``what_if``, ``zenoh_connection``.
 """

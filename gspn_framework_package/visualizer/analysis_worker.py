@@ -30,7 +30,7 @@ from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_sho
 from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.visualizer.analysis_jobs import ALL_TRANSITIONS
+from gspn_framework_package.visualizer.activity import whole_field
 from gspn_framework_package.visualizer.optimise_form import request_in_form, simulated_of
 from gspn_framework_package.visualizer.optimised import PolicyChanges
 from gspn_framework_package.visualizer.simulation_form import (
@@ -167,9 +167,9 @@ def _predict(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str, 
     from gspn_framework_package.analysis.monitoring.prediction import (
         Span,
         expected_paces,
-        growth,
         predict,
     )
+    from gspn_framework_package.visualizer.what_if import growths
 
     if not isinstance(subject, Plan) or not isinstance(asked, dict):
         raise UsageError("only a run of a plan can be predicted")
@@ -177,12 +177,12 @@ def _predict(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str, 
     if not time:
         raise UsageError("how long is a run?", hint="'predict' needs a 'time'")
     plan = replace(subject, until=None)  # the growth is that of a run that does not end
-    sample = predict([Span(plan, time)], replications=PREDICTED, progress=progress)
-    counts = [(ALL_TRANSITIONS, sample.firings.sum(axis=1))]
-    counts += [(t.name, sample.firings[:, i]) for i, t in enumerate(plan.net.transitions)]
+    runs = whole_field(asked, "runs", PREDICTED, 2, PREDICTED)
+    sample = predict([Span(plan, time)], replications=runs, progress=progress)
     return {
         "paces": expected_paces(plan, sample),
-        "growth": {name: list(growth(sample, values)) for name, values in counts},
+        "growth": growths(plan, sample),
+        "runs": sample.size,
     }
 
 

@@ -20,6 +20,7 @@ from werkzeug.exceptions import HTTPException
 from gspn_framework_package import __version__
 from gspn_framework_package.formats.plan_json import schema
 from gspn_framework_package.model.errors import GspnError, InputError, UsageError
+from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer import deploying, run_stories
 from gspn_framework_package.visualizer.activity import whole_field
 from gspn_framework_package.visualizer.analysis_jobs import AnalysisJobs
@@ -35,6 +36,7 @@ from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.reasons import reasons_in
 from gspn_framework_package.visualizer.session import Session
 from gspn_framework_package.visualizer.streams import PING, Streams
+from gspn_framework_package.visualizer.what_if import FirstLooks, adjustable, what_if_in_form
 
 UPLOAD_BYTES = 12_000_000
 """Largest request in bytes; an upload is base64, so files of 8 MB fit."""
@@ -43,6 +45,9 @@ COMMAND_BYTES = 2_000_000
 
 LOGIN_BYTES = 4_000
 """Largest request, in bytes, from a peer that has not yet sent a token."""
+
+WHAT_IF_LIMIT = 20.0
+"""Seconds after which the simulation that follows a slider is given up."""
 
 GATHER = 0.012
 """Seconds during which a stream gathers events into one message."""
@@ -283,6 +288,23 @@ def _add_analysis(app: flask.Flask, project: Project, jobs: AnalysisJobs) -> Non
         key = jobs.start(document, board.marking, fields, opened.key)
         return {"job": key, "event": board.n}
 
+    looks = FirstLooks()
+
+    @app.route("/api/what_if")
+    def what_can_change() -> Dict[str, Any]:
+        return adjustable(_plan_shown(project))
+
+    @app.route("/api/what_if", methods=["POST"])
+    def what_if() -> Dict[str, Any]:
+        fields, opened = _body(), _session(project)
+        plan = _plan_shown(project)
+        changed = what_if_in_form(fields, plan).apply(plan)
+        if fields.get("whole") is not True:
+            return looks.at(changed)
+        asked = {"predict": fields.get("next"), "policy": True, "seconds": WHAT_IF_LIMIT}
+        document = opened.document._replace(net=changed.net, plan=changed)
+        return {"job": jobs.start(document, changed.net.initial_marking, asked, opened.key)}
+
     @app.route("/api/analysis/<job>")
     def progress(job: str) -> Dict[str, Any]:
         return jobs.report(job)
@@ -373,6 +395,14 @@ def too_large_text(path: str) -> str:
 def _session(project: Project) -> Session:
     """The session that a request names."""
     return project.session(request.args.get("id", ""), room=request.method == "POST")
+
+
+def _plan_shown(project: Project) -> Plan:
+    """The plan of that session. :raises UsageError: it is a net."""
+    plan = _session(project).document.plan
+    if plan is None:
+        raise UsageError("only runs of a plan can be predicted; this is a net")
+    return plan
 
 
 def _peer() -> str:

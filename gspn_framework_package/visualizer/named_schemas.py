@@ -3,7 +3,7 @@ name."""
 
 from __future__ import annotations
 
-from typing import Dict
+from typing import Dict, Tuple
 
 from gspn_framework_package.analysis.decisions.aims import Aim
 from gspn_framework_package.fleet.stay_follower import USES
@@ -46,6 +46,32 @@ STORY: Dict[str, Schema] = {
     "waits": list_with({"t": NUMBER, "seconds": NUMBER, **_MOMENT, "for": TEXT, "text": TEXT}),
     "moments": list_with({"at": NUMBER, **_MOMENT, "kind": TEXT, "detail": TEXT}),
 }
+
+_FACTORS = map_to(NUMBER)
+_RUNS = object_with({"runs": WHOLE, "time": NUMBER})
+ADJUSTABLE: Dict[str, Schema] = {"robots": WHOLE, "places": _FACTORS, "rates": _FACTORS}
+WHAT_IF: Tuple[Dict[str, Schema], Dict[str, Schema]] = (
+    {
+        "robots?": WHOLE,
+        "slower?": described_as(NUMBER, "a factor of the time of every action"),
+        "places?": described_as(_FACTORS, "place -> a further factor of the time of its action"),
+        "rates?": described_as(_FACTORS, "event -> a factor of its rate"),
+        "whole?": described_as(FLAG, "start the longer simulation that 'next' describes"),
+        "next?": _RUNS,
+    },
+    {
+        "growth?": described_as(
+            map_to({"type": "array", "items": NUMBER}),
+            "transition -> firings per second, their variance per second, and the variance of the "
+            "rate",
+        ),
+        "runs?": WHOLE,
+        "seconds?": NUMBER,
+        "next?": _RUNS,
+        "job?": TEXT,
+    },
+)
+"""The fields of a what-if, and of its answer."""
 
 BOARD = object_with(
     {

@@ -11,6 +11,7 @@ from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tup
 from gspn_framework_package.visualizer.editing.palette import TYPED
 from gspn_framework_package.visualizer.guard import HEADER, TOKEN_HEADER
 from gspn_framework_package.visualizer.named_schemas import (
+    ADJUSTABLE,
     ANALYSIS_FIELDS,
     BOARD,
     CHANGES,
@@ -19,6 +20,7 @@ from gspn_framework_package.visualizer.named_schemas import (
     NAMED_SCHEMAS,
     SCENE,
     STORY,
+    WHAT_IF,
 )
 from gspn_framework_package.visualizer.order_schemas import any_order
 from gspn_framework_package.visualizer.schemas import (
@@ -39,7 +41,7 @@ from gspn_framework_package.visualizer.schemas import (
     or_null,
 )
 
-API_VERSION = "1.3.0"
+API_VERSION = "1.4.0"
 """Version of the interface: the first number grows with each incompatible change, the second with
 each addition."""
 
@@ -101,6 +103,7 @@ NEW_PLAN = {"path": TEXT, "id": TEXT}
 SHARED: Dict[str, Schema] = {"version?": TEXT, "page?": TEXT}
 DOCUMENT = {"document": OBJECT}
 CHECKED = {**DOCUMENT, "page?": TEXT}
+EVENT_AT = {**EPOCH, "event": or_null(WHOLE)}
 HISTORY = ("since?", "until?", "robot?", "place?")
 
 API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
@@ -183,16 +186,10 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         answer={"transition": TEXT, "enabled": FLAG, "reasons": NAMES, "at": WHOLE},
     ),
     ("GET", "/api/slot"): ApiOperation(
-        "after_slot",
-        "The first event after a slot of the log.",
-        ("id", "slot"),
-        answer={**EPOCH, "event": or_null(WHOLE)},
+        "after_slot", "The first event after a slot of the log.", ("id", "slot"), answer=EVENT_AT
     ),
     ("GET", "/api/moment"): ApiOperation(
-        "event_at",
-        "The last event up to a time of the run; null if the log has not been read that far.",
-        ("id", "t"),
-        answer={**EPOCH, "event": or_null(WHOLE)},
+        "event_at", "The last event up to a time; null if unknown.", ("id", "t"), answer=EVENT_AT
     ),
     ("GET", "/api/events"): ApiOperation(
         "events",
@@ -220,6 +217,12 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         ("id",),
         ANALYSIS_FIELDS,
         {"job": TEXT, "event": WHOLE},
+    ),
+    ("GET", "/api/what_if"): ApiOperation(
+        "what_can_change", "What can be changed in a prediction.", ("id",), answer=ADJUSTABLE
+    ),
+    ("POST", "/api/what_if"): ApiOperation(
+        "what_if", "A first look at changed runs; 'whole' starts a job.", ("id",), *WHAT_IF
     ),
     ("GET", "/api/analysis/{job}"): ApiOperation(
         "analysis_progress",
@@ -333,16 +336,10 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         answer={"moments": list_with({"id": TEXT})},
     ),
     ("GET", "/api/story"): ApiOperation(
-        "story",
-        "Who waited for whom in the run that is shown, and what happened; times in seconds.",
-        ("id",),
-        answer=STORY,
+        "story", "Who waited for whom, and what happened, in seconds.", ("id",), answer=STORY
     ),
     ("GET", "/api/report"): ApiOperation(
-        "report",
-        "The same as one HTML file.",
-        ("id",),
-        media="text/html",
+        "report", "The same as one HTML file.", ("id",), media="text/html"
     ),
     ("GET", "/api/edit"): ApiOperation(
         "edit_open",

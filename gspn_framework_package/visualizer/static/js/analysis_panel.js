@@ -4,6 +4,7 @@ import { $, h, labelled, menu, number, plural, question, refill, textField, toas
 import { AnswerPieces } from "./answer_pieces.js";
 import { answersTo } from "./answers.js";
 import { BackgroundJob } from "./jobs.js";
+import { WhatIf } from "./what_if.js";
 import { unmark } from "./net_marks.js";
 
 const time = (value) => ({ type: "number", min: 0, step: "any", value });
@@ -155,6 +156,7 @@ export class AnalysisPanel extends EventTarget {
     this.status = h("div.answer", { role: "status" });
     this.job = new BackgroundJob(this.model.session, this.status, "an-cancel");
     this.answers = h("div", { id: "answers" });
+    this.whatIf = plan && !this.refusal ? new WhatIf(this.model) : null;
     refill(
       this.panel,
       this.refusal && says(`Analysis is not available: ${this.refusal}.`),
@@ -229,6 +231,7 @@ export class AnalysisPanel extends EventTarget {
         form(...Object.keys(FIELDS).filter((name) => name.startsWith("sim-"))),
         ask("Simulate runs", () => ({ simulate: this.simulation() })),
       ),
+      this.whatIf?.section,
       question(
         "Sweep",
         false,
@@ -361,5 +364,6 @@ export class AnalysisPanel extends EventTarget {
 
   close() {
     this.job.close();
+    this.whatIf?.close();
   }
 }

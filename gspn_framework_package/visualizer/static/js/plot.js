@@ -99,25 +99,33 @@ export function band([rate, chance, doubt], time) {
   return [Math.max(rate * time - half, 0), rate * time + half];
 }
 
+/** Prediction bands from time 0 to `end`, and above them an observed line if there is one. `bands`: [{name, growth,
+ * kind}, ...], `kind` their class; `line`: {name, points}. */
+export function bandsPlot(bands, line, end) {
+  const times = Array.from({ length: 41 }, (_, i) => (end * i) / 40);
+  const edges = bands.flatMap(({ name, growth }) =>
+    ["lower", "upper"].map((bound, side) => ({
+      name: `${name}, ${bound} bound`,
+      points: times.map((time) => [time, band(growth, time)[side]]),
+    })),
+  );
+  const plot = curvePlot([...(line ? [line] : []), ...edges], "time (s)");
+  const paths = [...plot.querySelectorAll("path")];
+  const observed = line && paths.shift();
+  bands.forEach(({ kind = "" }, i) => {
+    const [low, high] = paths.slice(2 * i, 2 * i + 2);
+    const back = high.getAttribute("d").slice(1).split("L").reverse().join("L");
+    low.setAttribute("d", `${low.getAttribute("d")}L${back}Z`);
+    low.setAttribute("class", `band ${kind}`.trim());
+    low.style.stroke = ""; // that of the class
+    high.remove();
+  });
+  if (observed) plot.append(observed);
+  return plot;
+}
+
 /** A prediction band with the observed line. `curve`: {name, growth, points: [[time, count], ...]}. */
 export function bandPlot({ name, growth, points }) {
-  const end = Math.max(points[points.length - 1][0], 1e-9);
-  const times = Array.from({ length: 41 }, (_, i) => (end * i) / 40);
-  const edges = times.map((time) => [time, ...band(growth, time)]);
-  const plot = curvePlot(
-    [
-      { name: `${name}, observed`, points: [[0, 0], ...points] },
-      { name: "predicted, lower bound", points: edges.map(([time, low]) => [time, low]) },
-      { name: "predicted, upper bound", points: edges.map(([time, , high]) => [time, high]) },
-    ],
-    "time (s)",
-  );
-  const [line, low, high] = plot.querySelectorAll("path");
-  const back = high.getAttribute("d").slice(1).split("L").reverse().join("L");
-  low.setAttribute("d", `${low.getAttribute("d")}L${back}Z`);
-  low.setAttribute("class", "band");
-  low.style.stroke = ""; // that of the class
-  high.remove();
-  plot.append(line); // above the band
-  return plot;
+  const line = { name: `${name}, observed`, points: [[0, 0], ...points] };
+  return bandsPlot([{ name: "predicted", growth }], line, Math.max(points.at(-1)[0], 1e-9));
 }
