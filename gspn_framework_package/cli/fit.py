@@ -68,6 +68,11 @@ _OPTIONS: Arguments = {
 }
 
 _OUTPUT: Arguments = {
+    Argument("--within", "PERCENT", numbers.number(0.01, 100.0), 5.0): (
+        "how exact each value should be: what half of its 95 %% interval may be, in percent of a "
+        "mean duration or a rate, or in points of a probability; the output says how much more log "
+        "that needs (default %(default)g)"
+    ),
     **ON_OPTION,
     "--force": "overwrite NEW_PLAN if it exists",
     "--json": "print the report as one JSON object",
@@ -94,17 +99,18 @@ def run(args: argparse.Namespace) -> int:
     try:
         notes = write_plan(new, data, args.output)
     finally:  # the result is printed even if it cannot be written
-        _print(learned, notes, args.json)
+        _print(learned, notes, args)
     return 0
 
 
-def _print(learned: Learned, notes: Sequence[str], as_json: bool) -> None:
-    if as_json:
+def _print(learned: Learned, notes: Sequence[str], args: argparse.Namespace) -> None:
+    within = args.within / 100
+    if args.json:
         report = learned.report._replace(notes=(*learned.report.notes, *notes))
-        print(json.dumps(report.to_json(), indent=2, ensure_ascii=False))
+        print(json.dumps(report.to_json(within), indent=2, ensure_ascii=False))
         return
     print(source_text(learned))
-    for line in fit_table(learned.report):
+    for line in (*fit_table(learned.report), *needs_text(learned.report, within)):
         print(line)
     print_notes([*learned.report.notes, *notes])
 
@@ -234,6 +240,16 @@ def fit_table(report: FitReport) -> List[str]:
             % (name, event.seen, event.rate, *event.interval)
         )
     return lines
+
+
+def needs_text(report: FitReport, within: float) -> List[str]:
+    """What the logs are too short for, as lines of text; ``within`` as in
+    :meth:`.FitReport.needs`."""
+    needs = report.needs(within)
+    if not needs:
+        return ["every value is known to %.3g %%" % (100 * within)]
+    told = ["%d not known to %.3g %%:" % (len(needs), 100 * within)]
+    return told + ["  " + need.text() for need in needs]
 
 
 def _row(place: str, found: PlaceFit) -> Tuple[str, ...]:

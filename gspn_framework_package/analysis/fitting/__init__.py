@@ -1,6 +1,6 @@
 """What is learned from runs of a plan: how long its actions take, and how they end.
 
-Modules: ``durations``, ``learning``, ``sample``, ``testing``.
+Modules: ``durations``, ``learning``, ``needs``, ``sample``, ``testing``.
 """
 
 from gspn_framework_package.analysis.fitting.durations import (
@@ -15,12 +15,14 @@ from gspn_framework_package.analysis.fitting.learning import (
     PlaceFit,
     fit_plan,
 )
+from gspn_framework_package.analysis.fitting.needs import Need
 from gspn_framework_package.analysis.fitting.sample import Sample
 
 __all__ = [
     "DurationFit",
     "EventFit",
     "FitReport",
+    "Need",
     "OutcomeFit",
     "PlaceFit",
     "Sample",

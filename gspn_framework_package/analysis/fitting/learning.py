@@ -22,6 +22,7 @@ import numpy as np
 
 from gspn_framework_package.analysis.executors import Executor, LocalExecutor, WorkItem, Workload
 from gspn_framework_package.analysis.fitting.durations import DurationFit, fit_duration
+from gspn_framework_package.analysis.fitting.needs import ENOUGH_ATTEMPTS, Need, find_needs
 from gspn_framework_package.analysis.fitting.sample import Sample
 from gspn_framework_package.analysis.fitting.testing import (
     SAMPLES,
@@ -39,9 +40,6 @@ from gspn_framework_package.model.families import FAMILIES
 from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
 
-ENOUGH_ATTEMPTS = 5
-"""With fewer observations than this, the old value is kept."""
-
 ENOUGH_FOR_QUANTILES = 200
 """With fewer observations than this, a family that fits badly is not replaced by quantiles."""
 
@@ -55,6 +53,10 @@ irrelevant too."""
 
 _REFUTED = 0.01
 """A family is contradicted by the data if the p-value of the test of fit is below this."""
+
+WITHIN = 0.05
+"""What half of a 95 % interval may be before more log is asked for; see :func:`.needs.find_needs`.
+"""
 
 _SIGNIFICANT = 0.05
 """The joint level of all tests of one kind whose results become notes."""
@@ -127,21 +129,41 @@ def _share(outcome: OutcomeFit) -> Dict[str, Any]:
 
 
 class FitReport(NamedTuple):
-    """The results: by place, by transition of the environment or of an event, and notes for
-    people."""
+    """The results.
+
+    :ivar places: by place.
+    :ivar rates: by transition of the environment or of an event.
+    :ivar notes: for people.
+    :ivar unseen: places with an action, but without an attempt.
+    :ivar rare: transition of the environment or of an event that fired too seldom -> how often.
+    :ivar robot_seconds: how long robots were recorded, all together (s).
+    """
 
     places: Mapping[str, PlaceFit]
     rates: Mapping[str, EventFit]
     notes: Tuple[str, ...]
+    unseen: Tuple[str, ...] = ()
+    rare: Mapping[str, int] = {}
+    robot_seconds: float = 0.0
 
-    def to_json(self) -> Dict[str, Any]:
-        """The report as a JSON object."""
+    def needs(self, within: float = WITHIN) -> List[Need]:
+        """What was not learned, or not exactly enough, and how much more log that needs.
+
+        :param within: what half of a 95 % interval may be: as a share of a mean duration or a
+            rate, or the difference of a probability.
+        """
+        told = self.places, self.rates, self.unseen, self.rare, self.robot_seconds
+        return list(find_needs(*told, within))
+
+    def to_json(self, within: float = WITHIN) -> Dict[str, Any]:
+        """The report as a JSON object; ``within`` as in :meth:`needs`."""
         data: Dict[str, Any] = {"places": {p: fit.to_json() for p, fit in self.places.items()}}
         if self.rates:
             data["rates"] = {
                 t: {"n": e.seen, "rate": e.rate, "interval": list(e.interval)}
                 for t, e in self.rates.items()
             }
+        data["needs"] = [need.to_json() for need in self.needs(within)]
         data["notes"] = list(self.notes)
         return data
 
@@ -236,8 +258,12 @@ class _Learning:
         watch: Watch,
     ) -> FitReport:
         by_place: Dict[str, List[Attempt]] = {}
+        spans: Dict[Tuple[int, str], Tuple[float, float]] = {}
         for attempt in attempts:
             by_place.setdefault(attempt.place, []).append(attempt)
+            key = attempt.log, attempt.robot
+            begin, end = spans.get(key, (attempt.start, attempt.end))
+            spans[key] = min(begin, attempt.start), max(end, attempt.end)
         seen = [place for place in self.plan.action_places if place in by_place]
         shared = (self.plan, self.choice, self.seed, self.samples)
         workload = Workload(tuple, _learn_place, shared)
@@ -258,7 +284,9 @@ class _Learning:
             self.notes.append("no attempt was seen in %s" % ", ".join(unseen))
         rates = self._rates(events)
         self._report_doubts()
-        return FitReport(places, rates, tuple(self.notes))
+        rare = {name: event.firings for name, event in events.items() if name not in rates}
+        recorded = sum(end - begin for begin, end in spans.values())
+        return FitReport(places, rates, tuple(self.notes), tuple(unseen), rare, recorded)
 
     # -- a place -----------------------------------------------------------------------------------
 

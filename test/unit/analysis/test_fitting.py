@@ -412,7 +412,7 @@ def test_too_few_failures_are_reported() -> None:
 def test_the_report_has_the_agreed_form() -> None:
     seen = attempts(source(21).exponential(1.0, 50), result="ab")
     data = fit_plan(small_plan(), seen).to_json()
-    assert set(data) == {"places", "notes"}
+    assert set(data) == {"places", "needs", "notes"}
     place = json.loads(json.dumps(data))["places"]["A"]
     assert set(place) == {
         *("n", "censored", "mean", "interval", "distribution", "shape", "test", "outcomes")
@@ -422,6 +422,30 @@ def test_the_report_has_the_agreed_form() -> None:
     assert place["outcomes"]["aa"]["probability"] == 0.0
     assert place["distribution"] == "exponential"
     assert place["shape"] == 1.0
+
+
+def test_it_says_how_much_more_log_is_needed_and_that_is_enough() -> None:
+    plan, rng = small_plan(), source(3)
+
+    def learned(n: int) -> Any:
+        seen = attempts(rng.exponential(2.0, n), result="ab")
+        few = attempts([1.0] * 3, place="B")
+        return fit_plan(plan, [*seen, *few], {"made": Events(2, 10.0)}, "exponential", samples=0)
+
+    report = learned(100)
+    needs = {(need.what, need.of): need for need in report.needs(0.1)}
+    duration = needs.pop(("duration", "A"))
+    assert duration.half_width == pytest.approx(0.2, rel=0.1) and 350 < duration.needed < 500
+    assert duration.robot_seconds == report.robot_seconds * (duration.needed / 100 - 1)
+    # with so many, it is known that well
+    assert not [n for n in learned(duration.needed).needs(0.102) if n[:2] == ("duration", "A")]
+    assert not [n for n in learned(400).needs(0.2) if n[:2] == ("duration", "A")]
+    few, rare = needs.pop(("duration", "B")), needs.pop(("rate", "made"))
+    assert (few.seen, few.needed, few.half_width) == (3, 5, None)
+    assert few.robot_seconds == pytest.approx(report.robot_seconds * 2 / 3)
+    assert (rare.seen, rare.needed) == (2, 5)
+    assert "3 seen, at least 5 are needed" in few.text()
+    assert report.to_json(0.1)["needs"][0]["needed"] == duration.needed
 
 
 @pytest.mark.parametrize("choice", ["exponential", "gamma"])
@@ -533,6 +557,15 @@ def test_the_verb_writes_a_plan_with_what_it_learned(recorded, capsys) -> None:
     assert plan.durations["B"].mean == pytest.approx(1.0, rel=0.3)
     assert plan.evidence["outcomes", "A"].observations == report["places"]["A"]["n"]
     assert main(["check", str(out)]) == 0
+
+
+def test_the_verb_says_how_much_more_log_it_needs(recorded, capsys) -> None:
+    words = ["fit", str(recorded), str(recorded / "log.jsonl"), "-o", str(recorded / "needs.json")]
+    assert main([*words, "--within", "100"]) == 0
+    assert "every value is known to 100 %" in capsys.readouterr().out
+    assert main([*words, "--force", "--within", "0.5"]) == 0
+    told = capsys.readouterr().out
+    assert "duration of A: known to" in told and "robot-hours more" in told
 
 
 def test_the_verb_does_not_overwrite_unless_told_to(recorded, capsys, tmp_path) -> None:
