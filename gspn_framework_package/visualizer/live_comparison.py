@@ -14,6 +14,9 @@ hub with a monitor, and publishes the latest value ``model`` for the page:
     ``name``, ``kind``, ``level`` (the sum as a share of its threshold), ``on``, ``says``.
 ``alarms``
     The sentences of the active alarms.
+``causes``
+    The same, each with its ``text``, its ``size`` as an interval ("" if that is not known yet), and
+    the sentences of the alarms that it explains (``follows``).
 ``curves``
     Counts to compare: ``name``, ``growth`` (rate, chance, doubt: the band at time t is rate t +- z
     sqrt(chance t + doubt t^2)), ``points`` (time, count).
@@ -324,7 +327,8 @@ class LiveComparison:
             since = max(alarm.since, 0.0) + self._began
             text = "%s, since about %.0f s" % (alarm.describe(), since)
             self._hub.publish(note_event("warning", text, alarm.robot))
-        lasting = monitor.on
+        causes = monitor.causes()
+        lasting = [cause.alarm for cause in causes]
         if self._listener is not None:
             levels = [(_name(stream), _level(stream)) for stream in monitor.streams]
             self._listener(Departures(lasting, new, levels))
@@ -354,6 +358,14 @@ class LiveComparison:
                 if stream.kind in PACES or stream.on or level > 0.25
             ],
             alarms=[alarm.describe() for alarm in lasting],
+            causes=[
+                {
+                    "text": cause.alarm.describe(),
+                    "size": cause.size(),
+                    "follows": [alarm.describe() for alarm in cause.follows],
+                }
+                for cause in causes
+            ],
             curves=[
                 {
                     "name": name,

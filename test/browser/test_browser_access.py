@@ -245,7 +245,7 @@ def test_the_log_and_the_time_line_are_used_by_keyboard(show_net, open_page):
     assert page.input_value("#span") != chosen
 
 
-def told_model(alarm):
+def told_model(alarm, size="", follows=()):
     """What the server says of a run beside its prediction; ``alarm``: of a slower robot, or ""."""
     streams = [
         {"kind": "place", "name": "p4:Wait_L1", "level": 0.3, "on": False, "says": ""},
@@ -265,6 +265,7 @@ def told_model(alarm):
         "seconds": 30.0,
         "streams": streams,
         "alarms": [alarm] if alarm else [],
+        "causes": [{"text": alarm, "size": size, "follows": list(follows)}] if alarm else [],
         "curves": [
             {"name": "all transitions", "growth": [7.0, 0.5, 0.001], "points": points},
             {"name": "t1", "growth": [7.0, 0.5, 0.001], "points": slow},
@@ -302,3 +303,12 @@ def test_a_run_is_shown_beside_its_prediction(show_net, open_page, axe, picture)
     page.locator(".model-run").scroll_into_view_if_needed()
     picture(page, "prediction")
     axe(page, "LIVE, beside its prediction", "right")
+    # what follows from the same cause is one alarm with it
+    follows = ["all robots together: slower than planned: 1.1 s instead of 1 s (+10 %)"]
+    told.hub.set_latest("model", told_model(alarm, "+20 to +41 % (95 %)", follows))
+    page.wait_for_selector(".alarm:has-text('1 other from it – by now +20 to +41 % (95 %)')")
+    assert page.locator(".alarm").count() == 1
+    page.click(".alarm")
+    page.wait_for_selector("#dialog[open]:has-text('all robots together: slower')")
+    page.wait_for_selector("#dialog:has-text('from what began since: +20 to +41 %')")
+    page.keyboard.press("Escape")

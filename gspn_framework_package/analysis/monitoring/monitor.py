@@ -15,6 +15,9 @@ import math
 from collections import deque
 from typing import Any, Deque, Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
+import numpy as np
+
+from gspn_framework_package.analysis import quantiles
 from gspn_framework_package.analysis.monitoring.choices import ChoiceTest
 from gspn_framework_package.analysis.monitoring.cusum import ChanceChart, RateChart
 from gspn_framework_package.analysis.monitoring.hazard import Hazard
@@ -59,6 +62,9 @@ RAN_TO_THE_END = (Outcome.ABORTED, Outcome.BAD_RESULT)
 RECENT = 4096
 """Number of finished attempts kept, to report by how much and where a run departs."""
 
+LEAST_SEEN = 10
+"""Number of attempts from which the interval of a change is computed."""
+
 
 class _Running:
     """A running attempt: the place's hazards, and how much of them has been counted."""
@@ -76,6 +82,30 @@ class _Finished(NamedTuple):
     robot: str
     seconds: float
     expected: float
+
+    @property
+    def begun(self) -> float:
+        return self.at - self.seconds
+
+
+class Cause(NamedTuple):
+    """An active alarm that no other one explains.
+
+    :ivar follows: the active alarms that it explains.
+    :ivar interval: of a pace, the 95 % interval of its change (0.5: half as long again), from the
+        attempts that began after the alarm; None before :data:`LEAST_SEEN` of them have ended.
+    """
+
+    alarm: Alarm
+    follows: Tuple[Alarm, ...]
+    interval: Optional[Tuple[float, float]]
+
+    def size(self) -> str:
+        """The interval, for people; "" if there is none."""
+        if self.interval is None:
+            return ""
+        low, high = (100 * change for change in self.interval)
+        return "%+.0f to %+.0f %% (95 %%)" % (low, high)
 
 
 class Monitor:
@@ -184,12 +214,38 @@ class Monitor:
     def on(self) -> List[Alarm]:
         """The active alarms: the newest of each stream with one, with the size of the deviation
         known so far. A slow robot or place that several streams notice is reported once."""
+        return [cause.alarm for cause in self.causes()]
+
+    def causes(self) -> List[Cause]:
+        """The active alarms as in :attr:`on`, each with those that follow from it."""
         lasting = [
             stream.alarms[-1] if stream.kind not in PACES else self._estimated(stream.alarms[-1])
             for stream in self.streams
             if stream.on and stream.alarms
         ]
-        return [a for a in lasting if not any(_explains(other, a) for other in lasting)]
+        found: List[Cause] = []
+        left = [a for a in lasting if any(_explains(other, a) for other in lasting)]
+        for alarm in lasting:
+            if alarm in left:
+                continue
+            follows = tuple(a for a in left if _explains(alarm, a))
+            found.append(Cause(alarm, follows, self._interval(alarm)))
+        return found
+
+    def _interval(self, alarm: Alarm) -> Optional[Tuple[float, float]]:
+        """The interval of the change of a pace; see :class:`Cause`. What raised the alarm does not
+        count: it departs more than usual, or it would have raised none."""
+        if alarm.kind not in PACES:
+            return None
+        seen = [f for f in self._seen(alarm.at, alarm.place, alarm.robot) if f.begun >= alarm.at]
+        if len(seen) < LEAST_SEEN:
+            return None
+        seconds, expected = np.array([(f.seconds, f.expected) for f in seen]).T
+        ratio = seconds.sum() / expected.sum()
+        rest = seconds - ratio * expected
+        error = math.sqrt(len(seen) / (len(seen) - 1) * float((rest**2).sum())) / seconds.sum()
+        half = quantiles.student(0.975, len(seen) - 1) * error
+        return float(ratio * math.exp(-half) - 1), float(ratio * math.exp(half) - 1)
 
     def is_explained(self, alarm: Alarm) -> bool:
         """Whether another active alarm reports the same as this one."""

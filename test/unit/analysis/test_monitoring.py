@@ -244,6 +244,50 @@ def test_a_slower_robot_is_reported_once_and_not_overstated() -> None:
     assert sum(now) / 12 == pytest.approx(0.46, abs=0.05)
 
 
+def test_what_follows_from_a_slower_robot_stands_under_it() -> None:
+    monitor = _play(
+        _plan(DURATIONS[1], robots=4),
+        1600,
+        every=30 * 86_400.0,
+        factors=lambda robot, now: 1.46 if robot == "r2" else 1.0,
+    )
+    (cause,) = monitor.causes()
+    assert (cause.alarm.kind, cause.alarm.robot) == ("robot", "r2")
+    assert cause.follows and {alarm.kind for alarm in cause.follows} <= {"place", "team"}
+    raised = [stream for stream in monitor.streams if stream.on and stream.alarms]
+    assert len(raised) == 1 + len(cause.follows)
+    assert cause.interval is not None and cause.interval[0] < 0.46 < cause.interval[1]
+    assert cause.size().endswith("% (95 %)")
+
+
+def test_the_interval_of_a_change_holds_the_true_one() -> None:
+    """200 runs, in which a robot is slower by another factor and for another time each."""
+    inside = known = 0
+    for seed in range(200):
+        factor = 1.3 + (seed % 10) * 0.1
+        monitor = _play(
+            _plan(DURATIONS[seed % 2]),
+            400 + 20 * (seed % 7),
+            every=86_400.0,
+            seed=seed,
+            factors=lambda robot, now: factor if robot == "r2" else 1.0,
+        )
+        for cause in monitor.causes():
+            if cause.alarm.robot == "r2" and cause.interval is not None:
+                known += 1
+                inside += cause.interval[0] <= factor - 1 <= cause.interval[1]
+    assert known >= 150
+    assert inside / known >= 0.91  # 95 % but for the chance of so many cases
+
+
+def test_a_change_of_which_little_was_seen_has_no_interval() -> None:
+    """As soon as a slow robot is noticed, nothing that began later has ended."""
+    slow = lambda robot, now: 2.0 if robot == "r2" else 1.0  # noqa: E731
+    plans = (_play(_plan(DURATIONS[1]), n, 30 * 86_400.0, slow) for n in range(10, 400))
+    (cause,) = next(monitor for monitor in plans if monitor.on).causes()
+    assert cause.interval is None and cause.size() == ""
+
+
 def test_a_faster_team_is_noticed() -> None:
     monitor = _play(_plan(DURATIONS[1]), 600, 30 * 86_400.0, factors=lambda r, now: 0.7)
     assert monitor.alarms[0].direction == "faster"

@@ -185,6 +185,7 @@ def test_a_run_that_is_slower_than_planned_raises_the_alarm_on_the_page(started)
     )
     assert model["state"] == "watching" and model["false_alarm_every"] == 30 * 86_400
     assert any("slower than planned" in alarm for alarm in model["alarms"])
+    assert [cause["text"] for cause in model["causes"]] == model["alarms"]
     on = [stream for stream in model["streams"] if stream["on"]]
     assert on and all(stream["level"] > 0.5 and stream["says"] for stream in on)
     names = [curve["name"] for curve in model["curves"]]
