@@ -18,7 +18,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from typing import Any, Dict, Optional, Sequence
+from typing import Any, Dict, List, Optional, Sequence
 
 from benchmarks.harness.master import Master, need_ros
 from benchmarks.harness.processes import end_cleanly_on_signal
@@ -97,6 +97,11 @@ class ShopWatcher:
         """Seconds of world time."""
         with self._lock:
             return float(self._world["time"])
+
+    def poses(self) -> Dict[str, List[float]]:
+        """Robot -> its true pose ``[x, y, yaw]`` in the world (m, rad)."""
+        with self._lock:
+            return {name: state["pose"] for name, state in self._world["robots"].items()}
 
     def place(self, robot: str) -> str:
         """The place that a robot is in, as far as it has moved."""
