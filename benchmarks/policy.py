@@ -138,7 +138,9 @@ def measure(rows: int, budget: float) -> Dict[str, Any]:
 def _markings(policy: Policy, source: random.Random) -> List[Tuple[int, ...]]:
     """Markings that rows of the policy match, sampled from the whole table."""
     rows = [policy.rows[source.randrange(len(policy.rows))] for _ in range(1_000)]
-    return [tuple(source.randrange(3) if c is None else c for c in row.counts) for row in rows]
+    return [
+        tuple(c if isinstance(c, int) else source.randrange(3) for c in row.counts) for row in rows
+    ]
 
 
 def _round(bound: Any, markings: Sequence[Sequence[int]]) -> float:

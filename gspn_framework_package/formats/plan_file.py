@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
 
 from gspn_framework_package.formats import thesis_input
 from gspn_framework_package.formats.draft import ReadOptions
@@ -330,7 +330,10 @@ def _subnet(
 
 def _line(document: JsonDocument, element: str) -> Optional[int]:
     """Return the line of an element of a plan, named as in errors: ``transition 't'``,
-    ``until``."""
+    ``policy row 2``, ``until``."""
+    row = _row_line(document, element, ["policy", "rows"])
+    if row is not None:
+        return row
     found = re.match(r"(place|transition) '(.*)'$", element)
     net = document.data.get("net")
     if found is None:
@@ -340,6 +343,14 @@ def _line(document: JsonDocument, element: str) -> Optional[int]:
             if node["name"] == found.group(2):
                 return document.line(["net", found.group(1) + "s", number])
     return None
+
+
+def _row_line(
+    document: JsonDocument, element: str, rows: Sequence[Union[str, int]]
+) -> Optional[int]:
+    """Return the line of ``policy row 2``, given the path to the rows; None for another element."""
+    found = re.match(r"policy row (\d+)$", element)
+    return document.line([*rows, int(found.group(1)) - 1]) if found is not None else None
 
 
 def _line_of(document: JsonDocument, element: str) -> Optional[int]:
@@ -375,7 +386,11 @@ def read_policy(path: str) -> Policy:
     try:
         document = read_document(path)
         check_schema(document.data, "policy", file=path, document=document)
-        return policy_from_json(document.data)
+        try:
+            return policy_from_json(document.data)
+        except GspnError as error:
+            error.located(line=_row_line(document, error.element or "", ["rows"]))
+            raise
     except GspnError as error:
         error.located(file=path)
         raise

@@ -34,6 +34,7 @@ from gspn_framework_package.model.plan import (
     too_many_robots,
 )
 from gspn_framework_package.model.policy import Policy, PolicyScope
+from gspn_framework_package.model.policy_cell import written_cell
 from gspn_framework_package.model.subnet import Subnet
 
 SCHEMA_FILE = os.path.join(os.path.dirname(__file__), "plan.schema.json")
@@ -358,7 +359,7 @@ def policy_to_json(policy: Policy) -> Dict[str, Any]:
     data = {
         "places": list(policy.places),
         "rows": [
-            {"marking": ["-" if c is None else c for c in row.counts], "choose": dict(row.choices)}
+            {"marking": [written_cell(cell) for cell in row.counts], "choose": dict(row.choices)}
             for row in policy.rows
         ],
     }

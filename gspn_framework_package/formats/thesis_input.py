@@ -26,10 +26,11 @@ from gspn_framework_package.model.action import (
     ServerAction,
     server_name,
 )
-from gspn_framework_package.model.errors import PlanError
+from gspn_framework_package.model.errors import PlanError, PolicyError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan, Synchronisation
 from gspn_framework_package.model.policy import Policy, PolicyRow
+from gspn_framework_package.model.policy_cell import CountTest
 
 CLIENTS = "place_to_client_mapping"
 _FUNCTIONS = "place_to_function_mapping"
@@ -94,9 +95,9 @@ def plan_from_thesis(data: Mapping[str, Any], path: str, within: Optional[str] =
     reader.leave_out_unknown(keys)
     net, notes = _read_net(reader, not is_ros)
     places = reader.names("places_tuple")
-    policy = _without_illustrations(
-        Policy.from_table(places, reader.policy_rows()), net, reader.notes
-    )
+    policy = Policy.from_table(places, reader.policy_rows())
+    _refuse_tests(policy)
+    policy = _without_illustrations(policy, net, reader.notes)
     if is_ros:
         resources = frozenset(
             reader.places_of(net, reader.names("resources_list"), "resources_list")
@@ -127,6 +128,17 @@ def _read_net(reader: _Reader, in_project: bool) -> Tuple[Net, List[str]]:
 
 def _net_file(reader: _Reader, in_project: bool) -> str:
     return reader.existing(reader.text("gspn"), beside=reader.project() if in_project else "")
+
+
+def _refuse_tests(policy: Policy) -> None:
+    for number, row in enumerate(policy.rows, 1):
+        for cell in row.counts:
+            if isinstance(cell, CountTest):
+                raise PolicyError(
+                    "'%s' is not a number of tokens" % str(cell),
+                    element="policy row %d" % number,
+                    hint="only the policy of a plan.json has comparisons",
+                )
 
 
 def _without_illustrations(policy: Policy, net: Net, notes: List[str]) -> Policy:

@@ -3,5 +3,6 @@
 Modules: ``action``, ``attempt``, ``builder``, ``capacity``, ``compact_json``, ``composition``,
 ``condition``, ``constants``, ``data``, ``duration``, ``errors``, ``event``, ``expression``,
 ``failure``, ``families``, ``goal_pose``, ``kept``, ``marking_function``, ``message_condition``,
-``net``, ``outcome``, ``plan``, ``plan_timing``, ``policy``, ``robot_colours``, ``subnet``.
+``net``, ``outcome``, ``plan``, ``plan_timing``, ``policy``, ``policy_cell``, ``robot_colours``,
+``subnet``.
 """

@@ -2,18 +2,16 @@
 
 A :class:`Policy` is the table as written. A :class:`PolicyTable` is the table prepared for one net:
 it keeps the rows by the place they apply to (the "shortcut" of thesis 7.2.1), grouped by which
-cells are wildcards. A look-up costs one dictionary access per group, whether the table has ten rows
-or a million.
+cells are wildcards or tests. A look-up costs one dictionary access per group, whether the table has
+ten rows or a million.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from operator import itemgetter
 from typing import (
     Any,
-    Callable,
     Dict,
     Iterable,
     Iterator,
@@ -28,18 +26,24 @@ from typing import (
 
 from gspn_framework_package.model.errors import PolicyError
 from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.policy_cell import Cell, CountTest, RowIndex, cell_fits, read_cell
 
 SUM_TOLERANCE = 1e-6
 """Tolerance for the sum of a row's probabilities, which must be 1 (people round them by hand)."""
 
 
 class PolicyRow(NamedTuple):
-    """A row: ``counts`` has the tokens of each place of the policy's tuple (None matches any
-    count); ``choices`` has pairs (transition, probability). A row without choices applies to every
-    place: robots wait in the markings that it matches."""
+    """A row: ``counts`` has a cell for each place of the policy's tuple; ``choices`` has pairs
+    (transition, probability). A row without choices applies to every place: robots wait in the
+    markings that it matches."""
 
-    counts: Tuple[Optional[int], ...]
+    counts: Tuple[Cell, ...]
     choices: Tuple[Tuple[str, float], ...]
+
+    @property
+    def tests(self) -> int:
+        """The number of cells that are tests."""
+        return sum(isinstance(cell, CountTest) for cell in self.counts)
 
 
 class PolicyScope(NamedTuple):
@@ -90,8 +94,8 @@ class Policy:
         table: Iterable[Tuple[Sequence[object], Mapping[str, object]]],
         scopes: Iterable[PolicyScope] = (),
     ) -> Policy:
-        """Create a policy from cells as people write them: numbers, numeric strings, or ``'-'`` for
-        any count.
+        """Create a policy from cells as people write them: numbers, numeric strings, tests such as
+        ``'>= 1'``, or ``'-'`` for any count.
 
         :raises PolicyError: see :class:`Policy`; also if a cell or probability cannot be read.
         """
@@ -106,7 +110,9 @@ class Policy:
                 )
             rows.append(
                 PolicyRow(
-                    tuple([c if type(c) is int and c >= 0 else _cell(c, number) for c in cells]),
+                    tuple(
+                        [c if type(c) is int and c >= 0 else read_cell(c, number) for c in cells]
+                    ),
                     tuple([(str(t), _probability(p, number)) for t, p in choices.items()]),
                 )
             )
@@ -202,8 +208,8 @@ class PolicyTable:
     """A policy indexed for look-up in one net.
 
     Among the rows that match the marking and apply to the robot's place, the one with the fewest
-    wildcards takes precedence, then the first in file order. Where the policy has scopes, only the
-    rows of the place's own scope count.
+    wildcards takes precedence, then the one with the fewest tests, then the first in file order.
+    Where the policy has scopes, only the rows of the place's own scope count.
 
     :raises PolicyError: the policy names a place or transition that the net does not have, or an
         exponential transition.
@@ -228,22 +234,22 @@ class PolicyTable:
                 )
             self._scope[net.place_index[name]] = k
         self._row_scope = row_scope = policy.row_scopes()
-        self._any: Dict[int, _RowIndex] = {}  # scope -> its rows; rarely needed
-        self._by_place: Dict[int, _RowIndex] = {}
-        self._waits: Dict[int, _RowIndex] = {}  # scope -> its rows without choices
+        self._any: Dict[int, RowIndex] = {}  # scope -> its rows; rarely needed
+        self._by_place: Dict[int, RowIndex] = {}
+        self._waits: Dict[int, RowIndex] = {}  # scope -> its rows without choices
         speaks_of: Dict[Tuple[Tuple[str, float], ...], Tuple[int, ...]] = {}
         for number, row in enumerate(policy.rows):
             if row.choices not in speaks_of:
                 speaks_of[row.choices] = self._places_of(number, row)
             if not row.choices:
-                self._waits.setdefault(row_scope[number], _RowIndex(columns)).add(number, row)
+                self._waits.setdefault(row_scope[number], RowIndex(columns)).add(number, row.counts)
             for place in speaks_of[row.choices]:
                 if self._scope.get(place, 0) != row_scope[number]:
                     continue
                 index = self._by_place.get(place)
                 if index is None:
-                    index = self._by_place[place] = _RowIndex(columns)
-                index.add(number, row)
+                    index = self._by_place[place] = RowIndex(columns)
+                index.add(number, row.counts)
 
     def _places_of(self, number: int, row: PolicyRow) -> Tuple[int, ...]:
         places: Dict[int, None] = {}
@@ -295,9 +301,9 @@ class PolicyTable:
         scope the row applies to."""
         scope = self._scope.get(place, 0)
         if scope not in self._any:
-            rows = self._any[scope] = _RowIndex(self._columns)
+            rows = self._any[scope] = RowIndex(self._columns)
             for number in self.rows_of(place):
-                rows.add(number, self.policy.rows[number])
+                rows.add(number, self.policy.rows[number].counts)
         return self._any[scope].find(marking) is not None
 
     def rows_of(self, place: int) -> Sequence[int]:
@@ -309,15 +315,13 @@ class PolicyTable:
         """Whether the row ``number`` is in the scope of ``place``."""
         return self._row_scope[number] == self._scope.get(place, 0)
 
-    def in_order(
-        self, place: int, strict: bool
-    ) -> Iterator[Tuple[Tuple[Optional[int], ...], Choices]]:
-        """The rows that decide for a robot in ``place``, by precedence: their counts and choices,
+    def in_order(self, place: int, strict: bool) -> Iterator[Tuple[Tuple[Cell, ...], Choices]]:
+        """The rows that decide for a robot in ``place``, by precedence: their cells and choices,
         as in :meth:`distribution`. Then, unless ``strict``, the other rows of its scope, where it
         waits."""
         rows, decide = self.policy.rows, self.deciding(place)
         others = [] if strict else sorted(set(self.rows_of(place)).difference(decide))
-        seen: Set[Tuple[Optional[int], ...]] = set()
+        seen: Set[Tuple[Cell, ...]] = set()
         for n in (*decide, *others):
             if rows[n].counts not in seen:
                 seen.add(rows[n].counts)
@@ -337,9 +341,15 @@ class PolicyTable:
         """Return the numbers of the rows of either kind, in the order of precedence."""
         return sorted([*self.speaking(place), *self.waiting(place)], key=self.precedence)
 
-    def precedence(self, number: int) -> Tuple[int, int]:
+    def row_matches(self, number: int, marking: Sequence[int]) -> bool:
+        """Whether the row ``number`` matches ``marking``."""
+        cells = self.policy.rows[number].counts
+        return all(cell_fits(cell, marking[column]) for cell, column in zip(cells, self._columns))
+
+    def precedence(self, number: int) -> Tuple[int, int, int]:
         """Return the precedence of a row: of those that match, the smallest decides."""
-        return self.policy.rows[number].counts.count(None), number
+        row = self.policy.rows[number]
+        return row.counts.count(None), row.tests, number
 
     def choices_of_row(self, number: int, place: int) -> Choices:
         """Return what a robot in ``place`` draws from by the row ``number``, if that decides."""
@@ -368,223 +378,6 @@ class PolicyTable:
             if len(found) >= limit:
                 break
         return found
-
-
-Projection = Callable[[Sequence[int]], Tuple[int, ...]]
-KeyedRows = Dict[Tuple[int, ...], int]
-Cells = Tuple[Tuple[int, int], ...]
-"""Pairs (number of a place, tokens), by place."""
-
-
-MANY_GROUPS = 24
-"""Number of groups above which rows are stored in a tree, since trying group by group would be
-slow."""
-
-
-class _RowIndex:
-    """Rows grouped by the set of cells that are not wildcards, with one dictionary per group."""
-
-    def __init__(self, columns: Sequence[int]) -> None:
-        self._columns = columns
-        self._groups: Dict[Tuple[int, ...], Dict[Tuple[int, ...], int]] = {}
-        self._doubles: List[Tuple[int, int]] = []
-        self._levels: Optional[List[List[Tuple[Projection, KeyedRows]]]] = None
-        self._tree: Optional[_RowTree] = None
-
-    def add(self, number: int, row: PolicyRow) -> None:
-        if None in row.counts:
-            cells = tuple(i for i, count in enumerate(row.counts) if count is not None)
-            key = tuple(row.counts[i] for i in cells)
-        else:
-            cells, key = tuple(range(len(row.counts))), row.counts
-        group = self._groups.setdefault(cells, {})
-        first = group.setdefault(key, number)  # type: ignore[arg-type]
-        if first != number:
-            self._doubles.append((first, number))
-        self._levels = self._tree = None
-
-    def numbers(self) -> List[int]:
-        found = [number for rows in self._groups.values() for number in rows.values()]
-        return found + [later for _, later in self._doubles]
-
-    def find(self, marking: Sequence[int]) -> Optional[int]:
-        if len(self._groups) > MANY_GROUPS:
-            if self._tree is None:
-                self._tree = _RowTree(self._columns, self._groups)
-            return self._tree.find(marking)
-        if self._levels is None:
-            self._levels = self._sorted_levels()
-        for level in self._levels:
-            best: Optional[int] = None
-            for project, rows in level:
-                number = rows.get(project(marking))
-                if number is not None and (best is None or number < best):
-                    best = number
-            if best is not None:
-                return best
-        return None
-
-    def _sorted_levels(self) -> List[List[Tuple[Projection, KeyedRows]]]:
-        by_size: Dict[int, List[Tuple[Projection, KeyedRows]]] = {}
-        for cells, rows in self._groups.items():
-            by_size.setdefault(len(cells), []).append(
-                (_projection([self._columns[i] for i in cells]), rows)
-            )
-        return [by_size[size] for size in sorted(by_size, reverse=True)]
-
-    def overlaps(self, limit: int) -> List[Tuple[int, int]]:
-        found = self._doubles[:limit]
-        groups = list(self._groups.items())
-        for i, (cells, rows) in enumerate(groups):
-            for other_cells, other_rows in groups[i + 1 :]:
-                if len(other_cells) == len(cells) and len(found) < limit:
-                    found += _compatible(cells, rows, other_cells, other_rows, limit - len(found))
-        return found[:limit]
-
-    def overlaps_with(self, other: _RowIndex, limit: int) -> List[Tuple[int, int]]:
-        """Return at most ``limit`` pairs of one row of each index that have equal precedence and
-        match a common marking."""
-        found: List[Tuple[int, int]] = []
-        for cells, rows in self._groups.items():
-            for other_cells, other_rows in other._groups.items():
-                if len(other_cells) == len(cells) and len(found) < limit:
-                    found += _compatible(cells, rows, other_cells, other_rows, limit - len(found))
-        return found
-
-
-class _Branch:
-    """A node of a tree of rows.
-
-    :ivar ends: precedence (negative number of cells) and number of the best row that ends here.
-    :ivar cells: the cells that remain to be matched for that row, if it is the only one from here
-        on.
-    :ivar column: the place that distinguishes the other rows.
-    :ivar by_count: tokens there -> node.
-    :ivar any: the node of the rows that have a wildcard there.
-    """
-
-    __slots__ = ("any", "by_count", "cells", "column", "ends")
-
-    def __init__(self) -> None:
-        self.ends: Optional[Tuple[int, int]] = None
-        self.cells: Tuple[Tuple[int, int], ...] = ()
-        self.column = -1
-        self.by_count: Dict[int, _Branch] = {}
-        self.any: Optional[_Branch] = None
-
-
-class _RowTree:
-    """Rows with many different sets of wildcards, in a tree: each node compares one place, and rows
-    with a wildcard there are in a branch of their own. A look-up visits the nodes whose rows still
-    match; rows that a few places distinguish are found in a few steps."""
-
-    def __init__(self, columns: Sequence[int], groups: Mapping[Tuple[int, ...], KeyedRows]) -> None:
-        self._root = _Branch()
-        rows = [
-            (
-                (-len(cells), number),
-                tuple((columns[cell], count) for cell, count in zip(cells, key)),
-            )
-            for cells, keyed in groups.items()
-            for key, number in keyed.items()
-        ]
-        todo = [(self._root, rows)]
-        while todo:
-            node, rows = todo.pop()
-            if len(rows) == 1:
-                ((node.ends, node.cells),) = rows
-                continue
-            node.ends = min((rank for rank, cells in rows if not cells), default=None)
-            frequency: Dict[int, int] = {}
-            for _, cells in rows:
-                for column, _ in cells:
-                    frequency[column] = frequency.get(column, 0) + 1
-            if not frequency:
-                continue
-            node.column = max(frequency, key=lambda column: (frequency[column], -column))
-            parts: Dict[Optional[int], List[Tuple[Tuple[int, int], Cells]]] = {}
-            for rank, cells in rows:
-                if cells:
-                    count = next((n for column, n in cells if column == node.column), None)
-                    rest = tuple(cell for cell in cells if cell[0] != node.column)
-                    parts.setdefault(count, []).append((rank, rest))
-            for count, part in parts.items():
-                branch = _Branch()
-                if count is None:
-                    node.any = branch
-                else:
-                    node.by_count[count] = branch
-                todo.append((branch, part))
-
-    def find(self, marking: Sequence[int]) -> Optional[int]:
-        best: Optional[Tuple[int, int]] = None
-        todo = [self._root]
-        while todo:
-            node = todo.pop()
-            ends = node.ends
-            if ends is not None and (best is None or ends < best):
-                for column, count in node.cells:
-                    if marking[column] != count:
-                        break
-                else:
-                    best = ends
-            if node.column >= 0:
-                if node.any is not None:
-                    todo.append(node.any)
-                branch = node.by_count.get(marking[node.column])
-                if branch is not None:
-                    todo.append(branch)
-        return None if best is None else best[1]
-
-
-def _compatible(
-    cells: Tuple[int, ...],
-    rows: KeyedRows,
-    other_cells: Tuple[int, ...],
-    other_rows: KeyedRows,
-    limit: int,
-) -> List[Tuple[int, int]]:
-    """Return pairs of rows, one from each group, that match a common marking because they agree on
-    the cells that both groups have."""
-    shared = [c for c in cells if c in other_cells]
-    mine, theirs = [cells.index(c) for c in shared], [other_cells.index(c) for c in shared]
-    seen: Dict[Tuple[int, ...], List[int]] = {}
-    for key, number in rows.items():
-        seen.setdefault(tuple(key[i] for i in mine), []).append(number)
-    found: List[Tuple[int, int]] = []
-    for key, number in other_rows.items():
-        for match in seen.get(tuple(key[i] for i in theirs), ()):
-            found.append((min(match, number), max(match, number)))
-            if len(found) >= limit:
-                return found
-    return found
-
-
-def _projection(columns: Sequence[int]) -> Projection:
-    if not columns:
-        return lambda marking: ()
-    if len(columns) == 1:
-        only = columns[0]
-        return lambda marking: (marking[only],)
-    return itemgetter(*columns)
-
-
-def _cell(cell: object, row: int) -> Optional[int]:
-    if isinstance(cell, str):
-        text = cell.strip()
-        if text == "-":
-            return None
-        if text.isdigit():
-            return int(text)
-    elif isinstance(cell, int) and not isinstance(cell, bool) and cell >= 0:
-        return cell
-    elif isinstance(cell, float) and cell.is_integer() and cell >= 0:
-        return int(cell)
-    raise PolicyError(
-        "%r is not a number of tokens" % (cell,),
-        element="policy row %d" % row,
-        hint="write a whole number, or '-' for any",
-    )
 
 
 def _probability(value: object, row: int) -> float:

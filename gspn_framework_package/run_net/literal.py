@@ -20,11 +20,12 @@ import itertools
 import math
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.marking_function import Value, parse_value
 from gspn_framework_package.model.net import Net, with_places_renamed
+from gspn_framework_package.model.policy_cell import Cell, CountTest, ranges
 from gspn_framework_package.run_net.columns import PlaceColumns, Shares, Taking
 from gspn_framework_package.run_net.ending import ways_to_hold
 from gspn_framework_package.run_net.run_net import RunNet
@@ -364,7 +365,7 @@ class _Writer(StagedNet):
         """Robots in place ``p`` draw from the policy."""
         plan, name = self._run.plan, self._net.places[p].name
         read = [self._of[self._net.place_index[place]] for place in plan.policy.places]
-        rows: List[Tuple[Dict[str, int], Optional[Shares]]] = []
+        rows: List[Tuple[Dict[str, Cell], Optional[Shares]]] = []
         table = plan.policy.bind(plan.net)
         for counts, draw in table.in_order(plan.net.place_number(name), plan.strict):
             rows.append(({q: n for q, n in zip(read, counts) if n is not None}, draw))
@@ -379,19 +380,18 @@ class _Writer(StagedNet):
             self.tokens[deciding.open] = 1
         rank = 0
         for number, (cells, choices) in enumerate(rows):
-            if number and cells.keys() != rows[number - 1][0].keys():
-                rank += 1  # rows of the same places exclude each other
-            needs = {q: n for q, n in cells.items() if n}
-            needs.update({deciding.open: 1} if deciding.open else {})
-            ready = Needed(needs, {q: n + 1 for q, n in cells.items()})
-            if choices is None:
-                self._draw_by_weight(p, deciding, rank, ready)
-            elif len(self._levels(choices)) == 1:
-                self._draw(deciding, (_DRAW, rank), choices, ready)
-            else:
-                ready.needs[deciding.asking] = 1
-                gate = self._gate(p, deciding, choices)
-                self._move((_DRAW, rank), 1.0, "a row applies", deciding.open, gate, ready=ready)
+            if number and not _exclusive(cells, rows[number - 1][0]):
+                rank += 1
+            for ready in _where(cells):
+                ready.needs.update({deciding.open: 1} if deciding.open else {})
+                if choices is None:
+                    self._draw_by_weight(p, deciding, rank, ready)
+                elif len(self._levels(choices)) == 1:
+                    self._draw(deciding, (_DRAW, rank), choices, ready)
+                else:
+                    ready.needs[deciding.asking] = 1
+                    gate, stage = self._gate(p, deciding, choices), (_DRAW, rank)
+                    self._move(stage, 1.0, "a row applies", deciding.open, gate, ready=ready)
 
     def _levels(self, choices: Shares) -> List[int]:
         """The priorities of these transitions."""
@@ -501,6 +501,23 @@ class _Writer(StagedNet):
             self.add(
                 "run ends", Meaning("", "the run ends"), (_END,), 1.0, {}, {self.over: 1}, ready
             )
+
+
+def _exclusive(cells: Mapping[str, Cell], others: Mapping[str, Cell]) -> bool:
+    """Whether two different rows surely match no common marking: they count the same places."""
+    tested = any(isinstance(cell, CountTest) for cell in (*cells.values(), *others.values()))
+    return not tested and cells.keys() == others.keys()
+
+
+def _where(cells: Mapping[str, Cell]) -> Iterator[Needed]:
+    """The markings that a row matches, as the tokens that it needs; ``!= 2`` is one of two ways,
+    which exclude each other."""
+    for counts in itertools.product(*map(ranges, cells.values())):
+        bounds = dict(zip(cells, counts))
+        yield Needed(
+            {q: least for q, (least, _) in bounds.items() if least},
+            {q: int(most) + 1 for q, (_, most) in bounds.items() if most < math.inf},
+        )
 
 
 def _chosen(place: str, count: int) -> str:

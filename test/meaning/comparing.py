@@ -320,6 +320,7 @@ UNTIMED = (
     "draw_again",
     "held_draws",
     "policy_rows",
+    "policy_tests",
     "mixed_partners",
     "capacities",
     "inhibitors",

@@ -21,7 +21,7 @@ from gspn_framework_package.analysis.simulation import (
 from gspn_framework_package.analysis.state_space import rated_graph
 from gspn_framework_package.execution import environment, token_game, turn, virtual_time
 from gspn_framework_package.execution import rules as run_queries
-from gspn_framework_package.model import net, plan, policy
+from gspn_framework_package.model import net, plan, policy, policy_cell
 from gspn_framework_package.run_net import compiling, requests, run_net, steps
 from meaning.mutant import Mutant
 
@@ -353,14 +353,14 @@ _TABLE: Sequence[Any] = (
         "model",
         "those of the fewest cells take precedence",
         ["policy_rows"],
-        (policy._RowIndex._sorted_levels, "sorted(by_size, reverse=True)", "sorted(by_size)"),
+        (policy_cell.RowIndex._sorted_levels, "in sorted(levels)", "in sorted(levels)[::-1]"),
     ),
     (
         "rows",
         "model",
         "the last of the file takes precedence",
         ["policy_rows"],
-        (policy._RowIndex.find, "number < best", "number > best"),
+        (policy_cell.RowIndex.find, "number < best", "number > best"),
     ),
     (
         "rows",
@@ -378,14 +378,42 @@ _TABLE: Sequence[Any] = (
         "model",
         "in file order, whatever their cells",
         ["policy_rows"],
-        (policy.PolicyTable.precedence, "count(None), number", "count(None) * 0, number"),
+        (policy.PolicyTable.precedence, "count(None), row", "count(None) * 0, row"),
     ),
     (
         "rows",
         "model",
         "by their cells, then the last of the file",
         ["policy_rows"],
-        (policy.PolicyTable.precedence, "count(None), number", "count(None), -number"),
+        (policy.PolicyTable.precedence, "row.tests, number", "row.tests, -number"),
+    ),
+    (
+        "rows",
+        "model",
+        "tests take precedence over counts",
+        ["policy_tests"],
+        (policy_cell._level, "len(tests)\n", "-len(tests)\n"),
+    ),
+    (
+        "rows",
+        "model",
+        "a group of rows matches whatever it tests",
+        ["policy_tests"],
+        (policy_cell.RowIndex.find, "all(cell_fits(test", "any(True or cell_fits(test"),
+    ),
+    (
+        "rows",
+        "simulation",
+        "!= as the range between",
+        ["policy_tests"],
+        (kernel.find_entry, "elif most < count < least", "elif count < least"),
+    ),
+    (
+        "rows",
+        "simulation",
+        "of many rows, those that test come first",
+        ["policy_tests"],
+        (kernel.find_entry, "(best < 0 or first < best)", "first >= 0"),
     ),
     (
         "rows",

@@ -19,6 +19,7 @@ from gspn_framework_package.model.failure import FailureEnd, FailureRule
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import LostKind, LostRule, Plan, RobotSpec
 from gspn_framework_package.model.policy import Policy, PolicyRow
+from gspn_framework_package.model.policy_cell import Cell, CountTest
 
 WORK = FunctionAction("actions.work", "work")
 Rows = Sequence[Any]
@@ -323,6 +324,29 @@ def policy_rows(source: random.Random) -> Plan:
         outcomes=outcomes,
         strict=source.random() < 0.25,
     )
+
+
+def policy_tests(source: random.Random) -> Plan:
+    """Rows as in ``policy_rows``, half of whose cells are tests instead, and rows of one cell each,
+    some of which test and some of which do not."""
+    plan = policy_rows(source)
+    tests = [CountTest(sign, n) for n in (0, 1) for sign in (">", "<=", "!=")]
+    tests += [CountTest(">=", 1), CountTest("<", 2), CountTest("<", 1), CountTest(">=", 0)]
+    rows = [
+        row._replace(
+            counts=tuple(
+                source.choice(tests) if source.random() < 0.5 else cell for cell in row.counts
+            )
+        )
+        for row in plan.policy.rows
+    ]
+    for _ in range(source.choice([0, 4, 6])):
+        counts: List[Cell] = [None, None, None]
+        cells: List[Cell] = [0, 1, 2, *tests[::4]]
+        counts[source.randrange(3)] = source.choice(cells)
+        chosen = source.sample(["t0", "t1", "t2"], 2)
+        rows.append(PolicyRow(tuple(counts), tuple(_split(source, chosen).items())))
+    return plan.with_policy(Policy(plan.policy.places, rows))
 
 
 def mixed_partners(source: random.Random) -> Plan:
@@ -828,6 +852,7 @@ FAMILIES: Dict[str, Callable[[random.Random], Plan]] = {
         held_draws,
         candidates,
         policy_rows,
+        policy_tests,
         mixed_partners,
         asked_exponential,
         who_stays,

@@ -29,7 +29,8 @@ from gspn_framework_package.analysis.watch import Cancel, Watch
 from gspn_framework_package.model.errors import PolicyError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.model.policy import Cells, Policy, PolicyRow
+from gspn_framework_package.model.policy import Policy, PolicyRow
+from gspn_framework_package.model.policy_cell import Cells
 
 Probabilities = Tuple[Tuple[int, float], ...]
 """Pairs (number of a transition, probability); the probabilities sum to 1. Empty: wait."""

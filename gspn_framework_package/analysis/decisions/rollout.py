@@ -44,6 +44,7 @@ from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.errors import LimitError, RefusedError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.policy import Policy, PolicyRow, PolicyScope
+from gspn_framework_package.model.policy_cell import Cell
 
 ROLLOUT_SECONDS = 60.0
 """Default time of the machine (s)."""
@@ -454,7 +455,7 @@ class _Search:
                 else:
                     spoken = table.distribution(visit.marking, visit.place)
                     row = () if spoken is None else self._policy.rows[spoken.row].counts
-                    places = [q for q, count in zip(columns, row) if count is not None]
+                    places = [q for q, cell in zip(columns, row) if cell is not None]
                     places = sorted({*places, *(near[visit.place] if level == 1 else ())})
                     places = sorted({*places, visit.place})
                 cells = tuple((q, visit.marking[q]) for q in places)
@@ -511,7 +512,7 @@ class _Search:
         old = self.plan.policy
         new: List[List[PolicyRow]] = [[] for _ in range(1 + len(old.scopes))]
         for (place, cells), mine in reversed(list(rows.items())):
-            counts: List[Optional[int]] = [None] * len(names)
+            counts: List[Cell] = [None] * len(names)
             for p, count in cells:
                 counts[column[p]] = count
             new[self._scope[place]] += [PolicyRow(tuple(counts), row.choices) for row in mine]

@@ -9,6 +9,7 @@ from gspn_framework_package.model.action import outcomes_of
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import LostKind, Plan
 from gspn_framework_package.model.plan_timing import NO_REQUEST, POLICY, PlanTiming, unnamed
+from gspn_framework_package.model.policy_cell import cell_fits, ranges
 
 
 class RobotFlow(NamedTuple):
@@ -262,7 +263,7 @@ class PolicyCover:
         for number in self._table.waiting(place):
             if rows[number].counts.count(None) < len(rows[number].counts):
                 cells = dict(zip(self._plan.policy.places, rows[number].counts))
-                if cells.get(name) != 0:
+                if any(most > 0 for _, most in ranges(cells.get(name))):
                     return True
             elif number < last and not self._by_own_count(
                 place, [n for n in spoken if n not in always]
@@ -275,6 +276,7 @@ class PolicyCover:
         other place."""
         name = self._plan.net.places[place].name
         counts: Set[int] = set()
+        everyone = range(1, self._robots + 1)
         for number in rows:
             looks_at = self._few_cells.get(number)
             if looks_at is None:
@@ -282,5 +284,5 @@ class PolicyCover:
             if not looks_at:
                 return True
             if looks_at[0][0] == name:
-                counts.add(looks_at[0][1])
-        return bool(counts) and counts.issuperset(range(1, self._robots + 1))
+                counts.update(n for n in everyone if cell_fits(looks_at[0][1], n))
+        return bool(counts) and counts.issuperset(everyone)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Dict, Iterator, List, Sequence, Tuple
 
 from gspn_framework_package.analysis.proofs.checker import (
@@ -14,6 +15,7 @@ from gspn_framework_package.analysis.proofs.checker import (
 from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.policy import PolicyRow, PolicyTable
+from gspn_framework_package.model.policy_cell import meet, ranges
 
 MOST_PROOF_ROWS = 20_000
 """Most steps through the rows of a policy."""
@@ -42,20 +44,22 @@ class RowsOfPlaces:
 
     def _row_cells(self, row: PolicyRow) -> Iterator[Formula]:
         """What a row asks for."""
-        for name, count in zip(self._policy.places, row.counts):
-            if count is not None:
-                p = self._net.place_number(name)
-                yield Atom(((p, -1),), -count)
-                yield from [Atom(((p, 1),), count)] * (count > 0)
+        for name, cell in zip(self._policy.places, row.counts):
+            p = self._net.place_number(name)
+            ways = [tuple(_within(p, least, most)) for least, most in ranges(cell)]
+            if len(ways) == 1:
+                yield from ways[0]
+            else:
+                yield Some(tuple(map(All, ways)))
 
     def bits(self, number: int) -> Tuple[int, int]:
         """The places that a row wants empty, and those that it wants marked, as bits of their
         numbers."""
         empty = marked = 0
-        for name, count in zip(self._policy.places, self._policy.rows[number].counts):
-            if count is not None:
-                bit = 1 << self._net.place_number(name)
-                empty, marked = empty | bit * (count == 0), marked | bit * (count > 0)
+        for name, cell in zip(self._policy.places, self._policy.rows[number].counts):
+            bit, ways = 1 << self._net.place_number(name), ranges(cell)
+            empty |= bit * all(most == 0 for _, most in ways)
+            marked |= bit * all(least > 0 for least, _ in ways)
         return empty, marked
 
     def match(self, number: int) -> Formula:
@@ -101,7 +105,12 @@ class RowsOfPlaces:
     def _overlap(self, first: int, second: int) -> bool:
         """Whether two rows match a common marking."""
         rows = self._policy.rows
-        return all(
-            None in cells or cells[0] == cells[1]
-            for cells in zip(rows[first].counts, rows[second].counts)
-        )
+        return meet(rows[first].counts, rows[second].counts)
+
+
+def _within(p: int, least: int, most: float) -> Iterator[Atom]:
+    """Place number ``p`` has a count in a range."""
+    if most < math.inf:
+        yield Atom(((p, -1),), -int(most))
+    if least > 0:
+        yield Atom(((p, 1),), least)

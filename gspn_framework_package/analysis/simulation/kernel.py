@@ -540,13 +540,18 @@ def power(a: float, b: float) -> float:
 
 # -- the policy ----------------------------------------------------------------------------------
 
+ANY_COUNT = 2**62
+"""Stands for no limit on the tokens that fit a cell."""
+
 
 class RowArrays(NamedTuple):
     """The rows of a policy, by the place that they apply to.
 
-    An *entry* is a row for one place. Few entries of a place are a list in order of precedence
-    (``listed``); many are in hash tables, one per set of cells that are not wildcards (*mask*),
-    masks with more cells first.
+    An *entry* is a row for one place; of those of a place, the smallest takes precedence. Few are a
+    list in this order (``listed``). Of many, only those that test a count are; the others are in
+    hash tables, one per set of cells that are not wildcards (*mask*), masks with more cells first.
+    ``cells`` has the place of a cell, the least and the most tokens that fit it; if the least is
+    greater than the most, these bound what does not fit.
     """
 
     listed_from: Any
@@ -589,15 +594,25 @@ def find_entry(place: int, level: Indices, rows: RowArrays) -> int:
         cell_from,
         cells,
     ) = rows
+    first = -1
     for k in range(listed_from[place], listed_from[place + 1]):
         entry = listed[k]
         row = entry_row[entry]
         i = cell_from[row]
         end = cell_from[row + 1]
-        while i < end and level[cells[i]] == cells[i + 1]:
-            i += 2
+        while i < end:
+            least = cells[i + 1]
+            most = cells[i + 2]
+            count = level[cells[i]]
+            if least <= most:
+                if count < least or count > most:
+                    break
+            elif most < count < least:
+                break
+            i += 3
         if i >= end:
-            return entry
+            first = entry
+            break
     best = -1
     size_of_best = -1
     for mask in range(mask_from[place], mask_from[place + 1]):
@@ -618,13 +633,15 @@ def find_entry(place: int, level: Indices, rows: RowArrays) -> int:
             i = cell_from[row]
             last = cell_from[row + 1]
             while i < last and level[cells[i]] == cells[i + 1]:
-                i += 2
+                i += 3
             if i >= last:
                 if best < 0 or row < entry_row[best]:
                     best = entry
                     size_of_best = end - begin
                 break
             slot = (slot + 1) & (size - 1)
+    if first >= 0 and (best < 0 or first < best):
+        return first
     return best
 
 

@@ -10,6 +10,7 @@ from gspn_framework_package.analysis.simulation import kernel
 from gspn_framework_package.analysis.simulation.machine import integers, ragged
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.policy import Choices
+from gspn_framework_package.model.policy_cell import Cell, ranges
 
 FEW_ENTRIES = 12
 """Up to this many rows for a place are searched one by one."""
@@ -39,9 +40,9 @@ def policy_book(plan: Plan, deciding: Sequence[int]) -> PolicyBook:
     cells = [
         [
             value
-            for column, count in zip(columns, row.counts)
-            if count is not None
-            for value in (column, count)
+            for column, cell in zip(columns, row.counts)
+            if cell is not None
+            for value in (column, *_bounds(cell))
         ]
         for row in policy.rows
     ]
@@ -60,7 +61,7 @@ def policy_book(plan: Plan, deciding: Sequence[int]) -> PolicyBook:
         for n in sorted(range(len(policy.rows)), key=table.precedence):
             whole_scopes[row_scope[n]].append((n, ()))
     entries += whole_scopes
-    reads = [{cell for n, _ in mine for cell in cells[n][::2]} for mine in entries]
+    reads = [{cell for n, _ in mine for cell in cells[n][::3]} for mine in entries]
     for p in deciding:
         reads[p] |= reads[len(net.places) + scope_of[p]]
     choices = [chosen for mine in entries for _, chosen in mine]
@@ -77,8 +78,19 @@ def policy_book(plan: Plan, deciding: Sequence[int]) -> PolicyBook:
     return PolicyBook(book, reads[: len(net.places)], some_row_always)
 
 
+def _bounds(cell: Cell) -> Tuple[int, int]:
+    """The least and the most tokens that fit a cell. If the least is greater than the most, they
+    bound what does not fit, exclusively; (-1, -1) if nothing fits."""
+    if isinstance(cell, int):
+        return cell, cell
+    ways = ranges(cell)
+    if not ways:
+        return -1, -1
+    return ways[-1][0], int(min(ways[0][1], kernel.ANY_COUNT))
+
+
 class _Mask(NamedTuple):
-    """The entries whose rows have no wildcards in the same ``cells``."""
+    """The entries whose rows have exact counts in the same ``cells``, and nothing else."""
 
     cells: Tuple[int, ...]
     entries: List[int]
@@ -89,7 +101,7 @@ def _row_arrays(parts: Sequence[Sequence[int]], cells: List[List[int]]) -> kerne
 
     :param parts: for each place the numbers of its rows, in order of precedence. The entries have
         numbers in this order.
-    :param cells: for each row, its cells that are not wildcards: places and counts in turn.
+    :param cells: for each row, its cells that are not wildcards: place, least and most in turn.
     """
     entry_row = [n for part in parts for n in part]
     listed: List[List[int]] = []
@@ -100,9 +112,14 @@ def _row_arrays(parts: Sequence[Sequence[int]], cells: List[List[int]]) -> kerne
         first += len(part)
         groups: Dict[Tuple[int, ...], List[int]] = {}
         if len(mine) > FEW_ENTRIES:
+            tests = []
             for entry in mine:
-                groups.setdefault(tuple(cells[entry_row[entry]][::2]), []).append(entry)
-            mine = []
+                its = cells[entry_row[entry]]
+                if its[1::3] == its[2::3]:
+                    groups.setdefault(tuple(its[::3]), []).append(entry)
+                else:
+                    tests.append(entry)
+            mine = tests
         listed.append(mine)
         masks.append([_Mask(*group) for group in groups.items()])
     all_masks = [mask for mine in masks for mask in mine]
@@ -135,7 +152,7 @@ def _fill(table: Any, rows: Sequence[Tuple[int, List[int]]]) -> None:
     held: Dict[int, List[int]] = {}
     for entry, cells in rows:
         mixed = 0
-        for count in cells[1::2]:
+        for count in cells[1::3]:
             mixed = (mixed * 1000003 + count) & 0x7FFFFFFF
         slot = (mixed ^ (mixed >> 15)) & (size - 1)
         while slot in held and held[slot] != cells:

@@ -19,6 +19,7 @@ from gspn_framework_package.execution.verifier.logged_team import Direct, Logged
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.event import EventSource
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.policy_cell import CountTest
 
 NO_EVENT = EventSource()
 
@@ -49,8 +50,14 @@ class SlotCheck(LoggedTeam):
         super()._take_rules(plan)
         # the policy: places that rows read -> their counts -> numbers of rows
         self._rows: Dict[Tuple[str, ...], Dict[Tuple[int, ...], List[int]]] = {}
+        self._tests: Dict[int, List[Tuple[str, str, int]]] = {}  # row -> place, sign, tokens
         for number, row in enumerate(plan.policy.rows):
-            cells = [(p, c) for p, c in zip(plan.policy.places, row.counts) if c is not None]
+            cells = []
+            for p, c in zip(plan.policy.places, row.counts):
+                if isinstance(c, CountTest):
+                    self._tests.setdefault(number, []).append((p, *c))
+                elif c is not None:
+                    cells.append((p, c))
             group = self._rows.setdefault(tuple(p for p, _ in cells), {})
             group.setdefault(tuple(c for _, c in cells), []).append(number)
         # subnets with policies of their own, by number from 1; the plan's own policy is 0
@@ -349,7 +356,7 @@ class SlotCheck(LoggedTeam):
         has a transition leaving its place or has none at all (then the robot waits); if no row
         matches and the plan is not strict, the weights."""
         leaving = [t for t in self.leaving[robot.place] if not self.kind[t].timed]
-        best: Optional[Tuple[int, int, List[Tuple[str, float]]]] = None
+        best: Optional[Tuple[Tuple[int, int, int], List[Tuple[str, float]]]] = None
         matches = False
         scope = self._scope.get(robot.place, 0)
         for number in self._matching_rows():
@@ -359,11 +366,12 @@ class SlotCheck(LoggedTeam):
             matches = True
             speaks = [(t, p) for t, p in row.choices if p > 0 and t in leaving]
             wildcards = sum(cell is None for cell in row.counts)
-            if (speaks or not row.choices) and (best is None or (wildcards, number) < best[:2]):
-                best = (wildcards, number, speaks)
+            rank = (wildcards, len(self._tests.get(number, ())), number)
+            if (speaks or not row.choices) and (best is None or rank < best[0]):
+                best = (rank, speaks)
         if best is not None:
-            total = sum(p for _, p in best[2])
-            return self._first_priority([(t, p / total) for t, p in best[2]], robot)
+            total = sum(p for _, p in best[1])
+            return self._first_priority([(t, p / total) for t, p in best[1]], robot)
         if matches or self.plan.strict:
             return []
         open_ones = [(t, self._weight(t)) for t in leaving if self._may_ask(robot, t)]
@@ -377,7 +385,10 @@ class SlotCheck(LoggedTeam):
     def _matching_rows(self) -> Iterator[int]:
         """The numbers of the policy's rows that match the marking."""
         for places, rows in self._rows.items():
-            yield from rows.get(tuple(self.marking[p] for p in places), ())
+            for number in rows.get(tuple(self.marking[p] for p in places), ()):
+                tests = self._tests.get(number, ())
+                if all(_passes(self.marking[p], sign, n) for p, sign, n in tests):
+                    yield number
 
     def _first_priority(
         self, choices: List[Tuple[str, float]], robot: LoggedRobot
@@ -448,6 +459,15 @@ class SlotCheck(LoggedTeam):
 
 def _short(marking: Mapping[str, int]) -> str:
     return "{%s}" % ", ".join("%s: %d" % (p, n) for p, n in sorted(marking.items()) if n)
+
+
+def _passes(count: int, sign: str, tokens: int) -> bool:
+    """Whether a place with ``count`` tokens is as a cell asks."""
+    if sign == "!=":
+        return count != tokens
+    if count == tokens:
+        return sign in ("<=", ">=")
+    return (count < tokens) == sign.startswith("<")
 
 
 def _uniform(seed: int, slot: int, index: int, who: str) -> float:

@@ -3,7 +3,7 @@ of each place, which transitions they would choose with which probability, and w
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Mapping, Sequence
+from typing import Any, Dict, Mapping, Sequence
 
 from gspn_framework_package.formats.edited_document import EditedDocument, plan_of_document
 from gspn_framework_package.model.errors import InputError
@@ -123,13 +123,12 @@ def _why(plan: Plan, full: Marking, place: int, leaving: Sequence[int]) -> str:
 def _others(plan: Plan, full: Marking, place: int, row: int) -> str:
     """Name the other rows that match and apply to the place, and over which this row takes
     precedence."""
-    columns = [plan.net.place_number(p) for p in plan.policy.places]
-    also: List[int] = []
-    for number in sorted(plan.policy.bind(plan.net).deciding(place)):
-        counts = plan.policy.rows[number].counts
-        matches = all(c is None or full[column] == c for column, c in zip(columns, counts))
-        if number != row and matches:
-            also.append(number + 1)
+    table = plan.policy.bind(plan.net)
+    also = [
+        number + 1
+        for number in sorted(table.deciding(place))
+        if number != row and table.row_matches(number, full)
+    ]
     if not also:
         return ""
     listed = ", ".join(map(str, also[:8])) + (", ..." if len(also) > 8 else "")

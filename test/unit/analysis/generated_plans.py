@@ -4,6 +4,7 @@ inhibitor arcs, capacities, resources, an environment, routing, actions of singl
 that come and go, events, subnets, tasks."""
 
 from dataclasses import replace
+from itertools import starmap
 
 from generated_nets import split
 from hypothesis import strategies as st
@@ -24,6 +25,7 @@ from gspn_framework_package.model.plan import (
     RobotSpec,
 )
 from gspn_framework_package.model.policy import Policy, PolicyRow
+from gspn_framework_package.model.policy_cell import CountTest
 
 ACT = FunctionAction("actions.work", "work")
 
@@ -40,6 +42,9 @@ DURATIONS = [
     Duration.empirical([0.1, 0.3, 0.4, 2.0]),
     Duration.hyper_erlang([(0.3, 2, 0.4), (0.7, 1, 1.6)]),
 ]
+
+TESTS = [(">=", 1), ("<", 2), ("!=", 1), (">", 1), ("<=", 1), ("!=", 0), (">=", 0)]
+CELLS = [None, None, 0, 1, 2, *starmap(CountTest, TESTS)]
 
 
 @st.composite
@@ -104,7 +109,7 @@ def small_plans(draw):
         )
         rows = []
         for _ in range(draw(st.integers(1, 5))):
-            counts = tuple(draw(st.sampled_from([None, None, 0, 1, 2])) for _ in places)
+            counts = tuple(draw(st.sampled_from(CELLS)) for _ in places)
             chosen = draw(st.lists(st.sampled_from(immediates), max_size=2, unique=True))
             chances = [1.0] if len(chosen) == 1 else draw(st.sampled_from([[0.5, 0.5], [0.1, 0.9]]))
             rows.append(PolicyRow(counts, tuple(zip(chosen, chances))))

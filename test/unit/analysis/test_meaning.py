@@ -85,7 +85,7 @@ def dependent(plan):
     return replace(plan, net=net).validate()
 
 
-@pytest.mark.parametrize("family", ["spontaneous_first", "policy_rows", "degrees"])
+@pytest.mark.parametrize("family", ["spontaneous_first", "policy_rows", "policy_tests", "degrees"])
 def test_a_run_whose_weights_depend_on_the_marking_can_be_verified(family, tmp_path):
     for number in range(3):
         plan = dependent(made(family, 7, number).plan)

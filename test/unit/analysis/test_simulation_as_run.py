@@ -29,6 +29,7 @@ from gspn_framework_package.model.families import compose
 from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.model.plan_timing import PlanTiming
 from gspn_framework_package.model.policy import Policy, PolicyRow
+from gspn_framework_package.model.policy_cell import CountTest
 
 PLANS = Path(__file__).parents[3] / "plans"
 
@@ -284,12 +285,13 @@ def test_rows_of_a_large_policy_are_found(data):
     net = decision_net()
     source = random.Random(data.draw(st.integers(0, 10**6)))
     policy = random_policy(net, data.draw(st.sampled_from([3, 12, 13, 60])), source)
+    policy = Policy(policy.places, [tested(row, source) for row in policy.rows])
     plan = Plan(net, policy=policy, robots=(RobotSpec("r", "decide"),)).validate()
     tables = PlanTables(plan, PlanTiming(plan))
     table = policy.bind(net)
     for _ in range(40):
         row = source.choice(policy.rows)
-        marking = [source.randrange(3) if c is None else c for c in row.counts]
+        marking = [c if isinstance(c, int) else source.randrange(3) for c in row.counts]
         if source.random() < 0.3:
             marking[source.randrange(len(marking))] += 1
         b = tables.book
@@ -301,6 +303,19 @@ def test_rows_of_a_large_policy_are_found(data):
             assert (entry < 0) == (expected is None)
             if place == 0 and entry >= 0:
                 assert b.rows.entry_row[entry] == expected.row
+
+
+def tested(row, source):
+    """The row, or one that tests some of its counts."""
+    if source.random() < 0.6:
+        return row
+    signs = ["<", "<=", ">", ">=", "!="]
+    return row._replace(
+        counts=tuple(
+            CountTest(source.choice(signs), count) if count and source.random() < 0.3 else count
+            for count in row.counts
+        )
+    )
 
 
 # -- statistics --------------------------------------------------------------------------------------

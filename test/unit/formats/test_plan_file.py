@@ -10,7 +10,7 @@ from typing import Any, Dict
 
 import pytest
 
-from gspn_framework_package.formats.plan_file import plan_document, read_plan
+from gspn_framework_package.formats.plan_file import plan_document, read_plan, read_policy
 from gspn_framework_package.formats.plan_json import (
     check_schema,
     plan_from_json,
@@ -288,6 +288,7 @@ def test_an_unknown_key_is_refused_with_its_line(tmp_path, path):
             "transition 'back'",
             "which timed transitions",
         ),
+        ('{"marking": ["-", 1]', '{"marking": ["-", "=> 1"]', "policy row 1", "'=> 1' is not a"),
         ('"until": "count >= 10"', '"until": "cuont >= 10"', "until", "cuont"),
         ('"evict_after": 5', '"evict_after": NaN', None, "NaN is not a number that can be used"),
         (
@@ -397,3 +398,26 @@ def test_what_is_wrong_in_a_part_is_reported_by_its_own_name(part, element, mess
         check_schema({"net": "net.xml", "actions": {}, **part})
     assert (caught.value.element or "").startswith(element)
     assert message in str(caught.value)
+
+
+def test_a_cell_that_compares_is_written_as_it_was_read(tmp_path):
+    row = {"marking": [" >=1", "!= 2"], "choose": {"back": 1}}
+    data = {**FULL, "policy": {"places": ["P", "Q"], "rows": [row]}}
+    file = tmp_path / "plan.json"
+    file.write_text(json.dumps(data))
+    plan = read_plan(str(file))
+    assert plan_to_json(plan)["policy"]["rows"][0]["marking"] == [">= 1", "!= 2"]
+    assert plan_from_json(plan_to_json(plan)).hash() == plan.hash()
+    exact = {**row, "marking": [1, "-"]}
+    other = {**data, "policy": {"places": ["P", "Q"], "rows": [exact]}}
+    assert plan_from_json(other).hash() != plan.hash()
+
+
+def test_a_row_of_a_policy_file_is_named_with_its_line(tmp_path):
+    file = tmp_path / "policy.json"
+    file.write_text(
+        '{"places": ["P"],\n"rows": [{"marking": [1], "choose": {}},\n'
+        '{"marking": ["< 0"], "choose": {}}]}'
+    )
+    with pytest.raises(GspnError, match="policy.json:3: policy row 2: no number of tokens is < 0"):
+        read_policy(str(file))

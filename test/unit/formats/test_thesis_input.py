@@ -99,6 +99,7 @@ def test_the_standalone_form(folder: Path) -> None:
         ({"resources_list": "[open('x')]"}, "is not a Python literal"),
         ({"places_tuple": "('p1', 3)"}, "is not a list of names"),
         ({"policy_dictionary": "{('1',): {'t2': 1}}"}, "policy row 1: 1 cells for 2 places"),
+        ({"policy_dictionary": "{('>= 1', '-'): {'t2': 1}}"}, "row 1: '>= 1' is not a number"),
         ({"policy_dictionary": "[1]"}, "is not a dictionary from markings"),
         ({"place_to_client_mapping": "{'p1': 'server'}"}, r"is not \[action type, server name\]"),
         ({"gspn": "/gone/other.xml"}, "other.xml does not exist, and there is no other.xml beside"),

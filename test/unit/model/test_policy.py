@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any, List, Mapping, Optional, Tuple
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gspn_framework_package.model import policy as model
+from gspn_framework_package.model import policy_cell
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import PolicyError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.policy import Policy, PolicyTable
+from gspn_framework_package.model.policy_cell import CountTest, cell_fits, ranges, written_cell
 
 PLACES = ["P", "Q", "R"]
 
@@ -92,6 +94,9 @@ def test_a_row_without_choices_lets_robots_wait_in_every_place() -> None:
     [
         (PLACES, [((1, 1), {"a": 1})], "row 1: 2 cells for 3 places"),
         (PLACES, [((1, 1, "x"), {"a": 1})], "'x' is not a number of tokens"),
+        (PLACES, [((1, 1, "=> 1"), {"a": 1})], "'=> 1' is not a number of tokens"),
+        (PLACES, [((1, 1, ">= -1"), {"a": 1})], "'>= -1' is not a number of tokens"),
+        (PLACES, [((1, 1, "<0"), {"a": 1})], "no number of tokens is < 0"),
         (PLACES, [((1, 1, -1), {"a": 1})], "-1 is not a number of tokens"),
         (PLACES, [((1, 1, 1), {"a": 1.2})], "probability 1.2"),
         (PLACES, [((1, 1, 1), {"a": 0.5})], "sum to 0.5"),
@@ -110,7 +115,41 @@ def test_what_is_not_a_policy_is_refused_with_its_row(
         Policy.from_table(places, rows).bind(net())
 
 
-cells = st.one_of(st.none(), st.integers(0, 2))
+@pytest.mark.parametrize("sign", ["<", "<=", ">", ">=", "!="])
+@pytest.mark.parametrize("tokens", range(4))
+def test_a_test_fits_the_counts_in_its_ranges(sign: str, tokens: int) -> None:
+    cell = CountTest(sign, tokens)
+    wanted = [n for n in range(7) if eval("%d %s %d" % (n, sign, tokens))]
+    assert [n for n in range(7) if cell_fits(cell, n)] == wanted
+    spans = ranges(cell)
+    assert [n for n in range(7) if any(least <= n <= most for least, most in spans)] == wanted
+
+
+def test_tests_are_read_and_come_after_exact_counts_and_before_wildcards() -> None:
+    rows: List[Any] = [
+        (("-", "-", "-"), {"a": 1}),
+        ((">= 1", " !=2 ", 0), {"b": 1}),
+        ((1, 0, 0), {"a": 0.5, "b": 0.5}),
+        (("<3", "< 2", 0), {"a": 0.25, "b": 0.75}),
+    ]
+    policy = Policy.from_table(PLACES, rows)
+    assert policy.rows[1].counts == (CountTest(">=", 1), CountTest("!=", 2), 0)
+    assert list(map(written_cell, policy.rows[1].counts)) == [">= 1", "!= 2", 0]
+    table = policy.bind(net())
+    assert ask(table, (1, 0, 0), "P") == {"a": 0.5, "b": 0.5}
+    assert ask(table, (1, 1, 0), "P") == {"b": 1.0}  # the first of two with as many tests
+    assert ask(table, (0, 1, 0), "P") == {"a": 0.25, "b": 0.75}
+    assert ask(table, (1, 2, 0), "P") == {"a": 1.0}
+    assert table.overlaps() == [(0, 1, 3)]
+    apart = [((">= 1", "-", 0), {"a": 1}), (("< 1", "-", "-"), {"b": 1}), (("-", "!= 0", 0), {})]
+    assert Policy.from_table(PLACES, apart).bind(net()).overlaps() == [(0, 0, 2)]
+
+
+cells = st.one_of(
+    st.none(),
+    st.integers(0, 2),
+    st.sampled_from([CountTest(s, n) for s in ("<", "<=", ">", ">=", "!=") for n in (1, 2)]),
+)
 
 
 @given(
@@ -125,25 +164,54 @@ def test_look_up_equals_a_scan(rows: List[Any], marking: Any, place: str, tree: 
     """... in groups, and in the tree for many groups."""
     with pytest.MonkeyPatch.context() as patch:
         if tree:
-            patch.setattr(model, "MANY_GROUPS", 0)
+            patch.setattr(policy_cell, "MANY_GROUPS", 0)
         _look_up_equals_a_scan(rows, marking, place)
 
 
 def _look_up_equals_a_scan(rows: List[Any], marking: Any, place: str) -> None:
     table = Policy.from_table(
-        PLACES, [(["-" if c is None else c for c in m], {t: 1} if t else {}) for m, t in rows]
+        PLACES, [([written_cell(c) for c in m], {t: 1} if t else {}) for m, t in rows]
     ).bind(net())
     leaves = {"P": ["a", "b", ""], "Q": ["c", ""], "R": [""]}[place]
+
+    def matches(counts: Any) -> bool:
+        told = [(n, c) for c, n in zip(counts, marking) if c is not None]
+        signs = ["%d %s" if isinstance(c, CountTest) else "%d == %s" for _, c in told]
+        return all(eval(sign % (n, str(c))) for sign, (n, c) in zip(signs, told))
+
     matching = [
-        (counts.count(None), number, t)
+        (counts.count(None), sum(isinstance(c, CountTest) for c in counts), number, t)
         for number, (counts, t) in enumerate(rows)
-        if t in leaves and all(c is None or c == n for c, n in zip(counts, marking))
+        if t in leaves and matches(counts)
     ]
     expected = None
     if matching:
-        chosen = min(matching)[2]
+        chosen = min(matching)[-1]
         expected = {chosen: 1.0} if chosen else {}
     assert ask(table, marking, place) == expected
-    assert table.matches(marking, 0) == any(
-        all(c is None or c == n for c, n in zip(counts, marking)) for counts, _ in rows
+    assert table.matches(marking, 0) == any(matches(counts) for counts, _ in rows)
+
+
+@settings(max_examples=40)
+@given(
+    st.lists(
+        st.tuples(st.tuples(cells, cells, cells), st.sampled_from(["a", "b", "c", ""])), max_size=5
     )
+)
+def test_overlaps_are_rows_that_only_their_order_tells_apart(rows: List[Any]) -> None:
+    table = Policy.from_table(
+        PLACES, [([written_cell(c) for c in m], {t: 1} if t else {}) for m, t in rows]
+    ).bind(net())
+    for place, leaving in (("P", ["a", "b"]), ("Q", ["c"])):
+        said = {(a, b) for p, a, b in table.overlaps() if p == net().place_number(place)}
+        speaking = [n for n, (_, t) in enumerate(rows) if t in [*leaving, ""]]
+        met = {
+            (a, b)
+            for a, b in itertools.combinations(speaking, 2)
+            if rows[a][1] or rows[b][1]  # two rows that let robots wait do the same
+            if table.precedence(a)[:2] == table.precedence(b)[:2]
+            for marking in itertools.product(range(4), repeat=3)
+            if table.row_matches(a, marking) and table.row_matches(b, marking)
+        }
+        assert said <= met
+        assert bool(said) == bool(met)
