@@ -18,7 +18,7 @@ GOOD: Dict[str, Any] = {
     "orders": 3,
     "ended_once": 3,
     "outcomes": {"customers": {"done": 1}, "window": {"late": 1}, "cancelled": {"cancelled": 1}},
-    "mean_wait_of_plain": 10.0,
+    "mean_wait_of_customers": 10.0,
     "mean_wait_of_urgent": 4.0,
     "most_moved_after_a_stop": 0.001,
     "refused": [],
