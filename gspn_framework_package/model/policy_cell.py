@@ -179,7 +179,7 @@ class RowIndex:
                 if (
                     number is not None
                     and (best is None or number < best)
-                    and all(cell_fits(test, marking[column]) for column, test in tests)
+                    and (not tests or all(cell_fits(test, marking[c]) for c, test in tests))
                 ):
                     best = number
             if best is not None:

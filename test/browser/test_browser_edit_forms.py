@@ -687,7 +687,20 @@ def test_the_policy_as_a_table(editor, axe, picture):
     assert state(page)["policy"]["rows"][0]["choose"] == {"sorted": 0.5, "plug_in": 0.5}
     assert page.locator("#ed-policy .wrong:visible").count() == 0
     enter(page, row + ".marking.0", "many")
-    page.wait_for_selector("#ed-policy .wrong:has-text('a number of tokens, or - for any')")
+    page.wait_for_selector("#ed-policy .wrong:has-text('a comparison such as >= 1, or - for any')")
+    assert page.locator("#ed-policy .meets").all_text_contents() == [
+        "goes before row 2",
+        "row 1 goes first",
+    ]
+    enter(page, "policy.rows.1.marking.0", " !=1")
+    assert state(page)["policy"]["rows"][1]["marking"] == ["!= 1", "-"]
+    assert page.locator("#ed-policy .meets").all_text_contents() == ["", ""]
+    enter(page, "policy.rows.1.marking.0", "> 0")
+    assert page.locator("#ed-policy .meets").all_text_contents() == [
+        "goes before row 2",
+        "row 1 goes first",
+    ]
+    enter(page, "policy.rows.1.marking.0", "-")
     enter(page, row + ".marking.0", "2")
     # rows: duplicated (which never applies, and is marked), moved, removed; columns
     control(page, row + " Duplicate").click()

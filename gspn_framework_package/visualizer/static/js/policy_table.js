@@ -26,7 +26,7 @@ function markingOf(places, cells) {
 function markingText(marking) {
   const [some, none] = [[], []];
   for (const [place, count] of Object.entries(marking))
-    if (Number(count)) some.push(`${place}: ${count}`);
+    if (Number(count) !== 0) some.push(`${place}: ${count}`);
     else none.push(place);
   if (none.length) some.push(`none in ${none.join(", ")}`);
   return some.join("; ") || "any marking";

@@ -20,13 +20,85 @@ function problemOfChoice(choose) {
 
 const wild = (cell) => cell === "-";
 
+/** A cell as the file has it: a number, a comparison such as ">= 1", or "-"; null if the text is none of them. */
+function cellOf(text) {
+  const said = String(text).trim();
+  if (said === "-" || said === "") return "-";
+  if (/^\d{1,9}$/.test(said)) return Number(said);
+  const [, sign, tokens] = /^(<=?|>=?|!=)\s*(\d{1,9})$/.exec(said) ?? [];
+  return sign === undefined || (sign === "<" && !Number(tokens))
+    ? null
+    : `${sign} ${Number(tokens)}`;
+}
+
+/** The counts that fit a cell, as ranges [least, most]. */
+function ranges(cell) {
+  if (wild(cell)) return [[0, Infinity]];
+  const [, sign, text] = /^([<>!]?=?)\s*(\d+)$/.exec(String(cell).trim()) ?? [];
+  const n = Number(text);
+  if (text === undefined) return [];
+  if (!sign) return [[n, n]];
+  const below = [0, sign === "<=" ? n : n - 1];
+  const above = [sign === ">=" ? n : n + 1, Infinity];
+  return { "!": [below, above], "<": [below], ">": [above] }[sign[0]];
+}
+
+/** Whether some marking fits both rows. */
+const meet = (one, other) =>
+  one.marking.every((cell, i) =>
+    ranges(cell).some(([least, most]) =>
+      ranges(other.marking[i]).some(([low, high]) => Math.max(least, low) <= Math.min(most, high)),
+    ),
+  );
+
+/** What decides which of several rows comes first: wildcards, comparisons. */
+const looseness = ({ marking }) => [
+  marking.filter(wild).length,
+  marking.filter((cell) => /[<>!]/.test(cell)).length,
+];
+
+/** The rows that can match in one marking with row `i` and decide for robots of the same place: those that come
+ * before it, and those that come after it, as numbers from 0. `sources`: transition -> the places it leaves. */
+function together(rows, i, sources) {
+  const places = (row) =>
+    Object.entries(row.choose)
+      .filter(([, share]) => Number(share) > 0)
+      .flatMap(([name]) => sources.get(name) ?? []);
+  const row = rows[i];
+  const [mine, rank] = [new Set(places(row)), looseness(row)];
+  const waits = !Object.keys(row.choose).length;
+  const [before, after] = [[], []];
+  rows.forEach((other, at) => {
+    if (at === i || !meet(row, other)) return;
+    const silent = !Object.keys(other.choose).length;
+    if (waits ? silent : !silent && !places(other).some((place) => mine.has(place))) return;
+    const [wilds, tests] = looseness(other);
+    (wilds - rank[0] || tests - rank[1] || at - i) < 0 ? before.push(at) : after.push(at);
+  });
+  return { before, after };
+}
+
+/** Such rows in words. */
+function togetherText({ before, after }) {
+  const listed = (rows) => {
+    const numbers = rows.slice(0, 6).map((at) => at + 1);
+    return `${numbers.join(", ")}${rows.length > 6 ? ", …" : ""}`;
+  };
+  const first =
+    before.length > 1 ? `rows ${listed(before)} go first` : `row ${listed(before)} goes first`;
+  return [
+    ...(before.length ? [first] : []),
+    ...(after.length ? [`goes before ${after.length > 1 ? "rows" : "row"} ${listed(after)}`] : []),
+  ].join("; ");
+}
+
 /** Which rows never apply, because an earlier row has the same marking and names the same transitions, and which apply
  * only where others do not: row number (from 0) -> text to show. */
 export function overlaps(rows) {
   const seen = new Map();
   const found = new Map();
   rows.forEach((row, i) => {
-    const marking = row.marking.map((cell) => (wild(cell) ? "-" : Number(cell))).join(" ");
+    const marking = row.marking.map((cell) => cellOf(cell) ?? cell).join(" ");
     const before = seen.get(marking) ?? [];
     const covered = before.find((at) => {
       const other = rows[at].choose;
@@ -92,8 +164,8 @@ export class PolicyPanel extends PlanForm {
       h(
         "p.muted",
         policy.rows.length
-          ? "A row with fewer “-” (any number) takes precedence; between equals, the first. " +
-              "Weights decide where no row matches."
+          ? "Of the rows that match, the one with the fewest “-” (any number) decides, then the one with the " +
+              "fewest comparisons (“>= 1”), then the first. Weights decide where no row matches."
           : "There are no rows, so the weights of the transitions decide.",
       ),
       this.gaps(),
@@ -273,6 +345,10 @@ export class PolicyPanel extends PlanForm {
         "td",
         this.choose(lens, row, i),
         marks.map((text) => h("p.mark", `⚠ ${text}`)),
+        h("p.muted.meets", {
+          title: "Rows that can match in the same marking",
+          text: this.meeting(i),
+        }),
       ),
       h(
         "td.row-buttons",
@@ -292,15 +368,37 @@ export class PolicyPanel extends PlanForm {
     return this.text(lens, `${place} in row ${i + 1}`, {
       "aria-label": `${place} in row ${i + 1}`,
       class: "cell-input",
-      inputmode: "numeric",
+      title: "A number of tokens; >= 1, > 1, <= 1, < 1 or != 1; - for any",
       what: `row ${i + 1} of the policy`,
       show: (value) => String(value),
       parse: (text) => {
-        const said = text.trim();
-        if (said === "-" || said === "") return ["-"];
-        return /^\d{1,9}$/.test(said) ? [Number(said)] : "a number of tokens, or - for any";
+        const cell = cellOf(text);
+        return cell === null
+          ? "a number of tokens, a comparison such as >= 1, or - for any"
+          : [cell];
       },
     });
+  }
+
+  /** Which rows can match where row `i` does, in words. */
+  meeting(i) {
+    const { rows } = this.policy;
+    const { net, plan } = this.state;
+    if (this.met?.rows !== rows || this.met.net !== net || this.met.plan !== plan)
+      this.met = { rows, net, plan, sources: this.sources(), texts: new Map() };
+    const { sources, texts } = this.met;
+    if (!texts.has(i)) texts.set(i, togetherText(together(rows, i, sources)));
+    return texts.get(i);
+  }
+
+  /** Transition -> the places that it takes robots from. */
+  sources() {
+    const { net, plan } = this.state;
+    const resources = new Set(plan.resource_places);
+    const found = new Map();
+    for (const { from, to, inhibitor } of net.arcs)
+      if (!inhibitor && !resources.has(from)) found.set(to, [...(found.get(to) ?? []), from]);
+    return found;
   }
 
   /** The transitions of a row and their probabilities. Probabilities that do not add up to 1 stay in the form. */
