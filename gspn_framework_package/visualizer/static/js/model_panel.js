@@ -2,7 +2,7 @@
 // robot and the team that shows how close it is to its alarm.
 
 import { h, menu, number, options } from "./dom.js";
-import { band, bandPlot } from "./plot.js";
+import { band, Chart, showBands } from "./plot.js";
 
 export class ModelPanel {
   constructor(model) {
@@ -13,11 +13,11 @@ export class ModelPanel {
       "data-focus": "curve",
       onchange: () => this.draw(),
     });
-    this.plot = h("div");
+    this.chart = new Chart();
     this.numbers = h("p.numbers");
     this.strips = h("ul.strips");
     this.stated = h("p.muted");
-    this.body = h("div", this.choice, this.plot, this.numbers, this.strips, this.stated);
+    this.body = h("div", this.choice, this.chart.element, this.numbers, this.strips, this.stated);
     this.section = h(
       "section.model-run",
       { "aria-label": "Predicted and observed" },
@@ -60,9 +60,11 @@ export class ModelPanel {
   draw() {
     const curve = this.told.curves.find(({ name }) => name === this.choice.value);
     if (!curve || !curve.points.length) return;
-    this.plot.replaceChildren(bandPlot(curve));
     const [time, count] = curve.points[curve.points.length - 1],
       [low, high] = band(curve.growth, time);
+    const line = { name: `${curve.name}, observed`, points: [[0, 0], ...curve.points] };
+    const predicted = { name: "predicted", growth: curve.growth };
+    showBands(this.chart, [predicted], line, Math.max(time, 1e-9));
     const where = count < low ? " – fewer than predicted" : count > high ? " – more" : "";
     this.say(
       this.numbers,

@@ -3,7 +3,7 @@
 
 import { h, labelled, menu, number, options, question, refill } from "./dom.js";
 import { get, post } from "./api.js";
-import { band, bandsPlot } from "./plot.js";
+import { band, Chart, showBands } from "./plot.js";
 
 const REST = 400; // ms without a change after which the longer simulation begins
 const POLL = 150; // ms
@@ -19,7 +19,8 @@ export class WhatIf {
   constructor(model) {
     this.model = model;
     this.says = h("p.muted", { role: "status" });
-    this.plot = h("div");
+    this.chart = new Chart();
+    this.chart.element.hidden = true;
     this.form = h("div.form");
     this.section = question(
       "What if?",
@@ -29,7 +30,7 @@ export class WhatIf {
         "How many firings the plan predicts (95 %): as it is, and with what the sliders change.",
       ),
       this.form,
-      this.plot,
+      this.chart.element,
       this.says,
     );
     this.section.ontoggle = () => this.section.open && !this.known && this.open();
@@ -178,6 +179,7 @@ export class WhatIf {
   draw() {
     const { found, base } = this;
     if (!found || !base) return;
+    this.chart.element.hidden = false;
     const name = this.curve.value;
     const observed = this.model.latest.model?.curves?.find((curve) => curve.name === name);
     const line = observed?.points.length && {
@@ -188,7 +190,7 @@ export class WhatIf {
     const bands = [{ name: "as it is", growth: base.growth[name] }];
     if (found !== base)
       bands.push({ name: "what if", growth: found.growth[name], kind: "what-if" });
-    refill(this.plot, bandsPlot(bands, line, Math.max(end, 1e-9)));
+    showBands(this.chart, bands, line, Math.max(end, 1e-9));
     const span = (growth) =>
       band(growth, end)
         .map((count) => number(Math.round(count)))

@@ -6,7 +6,7 @@ import { deployToARun } from "../deploy.js";
 import { changeList, changesBetween } from "./diff_view.js";
 import { packedHistory, unpackedHistory } from "./history.js";
 import { conflictText, merged, same } from "./merge.js";
-import { pngOf, svgOf } from "./picture.js";
+import { download, pngOf, svgOf } from "./picture.js";
 
 const QUIET = 1500; // ms without an edit after which the draft is stored
 const SOON = 300; // the same while somebody else edits the plan, who sees the draft
@@ -24,13 +24,6 @@ const FORMATS = [
   ["pnpro", "the net for GreatSPN (PNPRO)", ".PNPRO"],
   ["tina", "the net for TINA", ".net"],
 ];
-
-/** Have the browser save a file. */
-function download(blob, name) {
-  const address = URL.createObjectURL(blob);
-  h("a", { href: address, download: name }).click();
-  setTimeout(() => URL.revokeObjectURL(address), 60_000);
-}
 
 /** A valid folder name for a plan or net of any name. */
 const folderName = (name) =>

@@ -41,6 +41,24 @@ function copyOf(element) {
   return copy;
 }
 
+/** A drawing of the page as the text of an SVG file. */
+export function pictureOf(svg) {
+  const sheet = copyOf(svg);
+  const { width, height } = svg.getBoundingClientRect();
+  for (const [key, value] of Object.entries({ xmlns: SVG, width, height }))
+    sheet.setAttribute(key, value);
+  return new XMLSerializer().serializeToString(sheet);
+}
+
+/** Have the browser save a file. */
+export function download(blob, name) {
+  const address = URL.createObjectURL(blob);
+  const link = document.createElement("a");
+  Object.assign(link, { href: address, download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(address), 60_000);
+}
+
 /** The drawing as the text of an SVG file, with its size. */
 export function svgOf(canvas) {
   canvas.settle(); // all arcs under all nodes
