@@ -24,7 +24,7 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 from benchmarks.harness.processes import end_cleanly_on_signal
 from benchmarks.machine import describe_machine, machine_line
-from benchmarks.room_report import FAULTS, figures, show
+from benchmarks.room_report import FAULTS, figures, show, show_beside_thesis
 from benchmarks.room_ros import measure_ros
 from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.model.errors import ExecutionError
@@ -111,6 +111,11 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     parser.add_argument(
         "--scans", action="store_true", help="without --ros: each robot scans five times a second"
     )
+    parser.add_argument(
+        "--thesis",
+        action="store_true",
+        help="one run with each number of robots from 1 to 8, beside what thesis 6.3 says of it",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     args = parser.parse_args(arguments)
     end_cleanly_on_signal()
@@ -126,7 +131,11 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         else:
             results.append(measure(args.room, args.robots, args.seed, args.minutes, args.scans))
     else:
-        teams = TEAMS if not args.robots else [(args.robots, dict(TEAMS).get(args.robots, 2))]
+        teams: Sequence[Tuple[int, int]] = TEAMS
+        if args.thesis:
+            teams = [(robots, 1) for robots in range(1, 9)]
+        elif args.robots:
+            teams = [(args.robots, dict(TEAMS).get(args.robots, 2))]
         runs = [(n, seed) for n, seeds in teams for seed in range(1 if args.quick else seeds)]
         for count, (robots, seed) in enumerate(runs):
             told = "%d of %d: %d robots, seed %d" % (count + 1, len(runs), robots, seed)
@@ -143,7 +152,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     else:
         print(machine_line(machine) + "\n")
         print("%g minutes of world time each\n" % args.minutes)
-        print(show(results))
+        print(show_beside_thesis(results) if args.thesis else show(results))
     return int(any(result.get(fault) for result in results for fault in FAULTS))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, Sequence
+from typing import Any, Dict, Mapping, Sequence
 
 from benchmarks.machine import table
 
@@ -27,7 +27,35 @@ def figures(report: Dict[str, Any]) -> Dict[str, Any]:
     chosen["laps"] = [tally["laps"] for tally in report["robots"].values()]
     # counts partial laps too: the total progress of the robots
     chosen["locations_per_robot"] = report["entries"] / max(len(report["robots"]), 1)
+    chosen["visits_per_hour"] = 3600 * report["entries"] / report["simulated_seconds"]
     return chosen
+
+
+THESIS: Mapping[int, str] = {
+    1: "smooth",
+    2: "after costmaps were cleared by hand",
+    3: "the same, not very smooth; sometimes the policy is not applied, and a robot waits for ever",
+    4: "starts after 2:42 min; robots get stuck, one overtakes another; ends with all stuck",
+}
+"""Number of robots -> what the thesis saw in Gazebo (6.2.3 and 6.3.2). It gives no figures, and
+tried no larger team."""
+
+
+def show_beside_thesis(results: Sequence[Dict[str, Any]]) -> str:
+    """The results as a table beside what the thesis says in 6.3.2."""
+    head = ("robots", "thesis", "visits/h", "faults", "CPU [% of a core]", "MB")
+    rows = [
+        [
+            str(r["robots"]),
+            THESIS.get(r["robots"], "not tried"),
+            "%.0f" % r["visits_per_hour"],
+            ", ".join("%s %g" % (name, r[name]) for name in FAULTS if r.get(name)) or "none",
+            "%.0f" % (100 * r["cpu_seconds_per_minute"] / 60),
+            "%.0f" % r["memory_mb"],
+        ]
+        for r in results
+    ]
+    return table(head, rows)
 
 
 def show(results: Sequence[Dict[str, Any]]) -> str:
