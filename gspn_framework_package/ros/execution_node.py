@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+from typing import Any, Callable, Optional
 
+import rospy
+
+from gspn_framework_package.execution.agreement.interface import Message
 from gspn_framework_package.model.plan import Plan, Synchronisation, Transport
 from gspn_framework_package.ros.diagnostics import RosReporter
 from gspn_framework_package.ros.event_sources import EventSources
 from gspn_framework_package.ros.inbound import InboundMessages
 from gspn_framework_package.ros.links import ServiceLink, TopicLink
+from gspn_framework_package.ros.network_fault import SlowNetwork
 from gspn_framework_package.ros.node_services import NodeServices
 from gspn_framework_package.ros.options import NodeOptions
 from gspn_framework_package.ros.robot_actions import RobotActions
@@ -21,7 +26,8 @@ class ExecutionNode(ReplicaHost):
     """Executes a plan for one robot, until the run is over.
 
     Its ROS interface is documented in :class:`TopicLink`, :class:`RosFacts`, :class:`NodeServices`,
-    :class:`RosReporter`, :class:`PlaceServers`, :class:`ActionCaller` and :class:`EventSources`.
+    :class:`RosReporter`, :class:`PlaceServers`, :class:`ActionCaller` and :class:`EventSources`;
+    with simulated time, :class:`SlowNetwork`, too.
 
     :param plan: the checked plan, with the team at the start of the run.
     :param namespace: absolute namespace of the robot.
@@ -33,6 +39,7 @@ class ExecutionNode(ReplicaHost):
 
     def __init__(self, plan: Plan, robot: str, namespace: str, options: NodeOptions) -> None:
         witness = robot in plan.witness
+        self._network: Optional[SlowNetwork] = None
         super().__init__(
             plan,
             robot,
@@ -50,6 +57,9 @@ class ExecutionNode(ReplicaHost):
                 if options.team_key_file
                 else None,
             )
+            if not rospy.rostime.is_wallclock():
+                self._network = SlowNetwork(robot)
+                undo.callback(self._network.close)
             services = NodeServices(self, namespace, inbound)
             undo.callback(services.close)
             self.connect(
@@ -59,10 +69,26 @@ class ExecutionNode(ReplicaHost):
             )
             undo.pop_all()
 
+    def receive(self, message: Message) -> None:
+        """See :class:`ReplicaHost`."""
+        self._pass_on(super().receive, message)
+
+    def serve(self, message: Message, answer: Callable[[Message], None]) -> None:
+        """See :class:`ReplicaHost`."""
+        self._pass_on(super().serve, message, answer)
+
+    def _pass_on(self, take: Callable[..., None], *arguments: Any) -> None:
+        if self._network is None:
+            take(*arguments)
+        else:
+            self._network.pass_on(take, *arguments)
+
     def _close(self) -> None:
         try:
             super()._close()
         finally:
+            if self._network is not None:
+                self._network.close()
             self.actions.stop_serving()
 
 

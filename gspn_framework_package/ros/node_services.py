@@ -147,7 +147,7 @@ class NodeServices:
         if message is None:
             return ""
         answers: queue.SimpleQueue[Message] = queue.SimpleQueue()
-        self._worker.enqueue(self._worker.request, message, answers.put)
+        self._worker.serve(message, answers.put)
         try:
             answer = answers.get(timeout=ANSWER_TIME)
         except queue.Empty:

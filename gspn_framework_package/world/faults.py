@@ -1,5 +1,5 @@
 """Faults to order in a simulated room: a wheel slips, a scanner drops out, a robot is blocked or
-carried away, a door closes, a person comes.
+carried away, a door closes, a person comes, messages between robots are late.
 
 They come from the room file, at their times, and from ``/world/fault``. ``docs/world.md`` describes
 them.
@@ -24,6 +24,7 @@ FAULT_KINDS: Mapping[str, Tuple[Tuple[str, ...], Tuple[str, ...]]] = {
     "carried": (("robot", "to"), ()),
     "door": (("door",), ("lasts",)),
     "person": (("person",), ()),
+    "network": (("delay",), ("robot", "lasts")),
 }
 """Kind of fault -> the keys that it needs, and those that it may have."""
 
@@ -48,10 +49,12 @@ def read_fault(data: Any) -> RoomFault:
     for key in data:
         if key not in ("fault", "time", *needed, *possible):
             raise ValueError("the fault '%s' has no '%s'" % (kind, key))
-    numbers = {"time": 0.0, "lasts": math.inf, "grip": 0.0, "person": 0}
+    numbers = {"time": 0.0, "lasts": math.inf, "grip": 0.0, "person": 0, "delay": 0.0}
     for key in numbers:
         value = data.get(key, numbers[key])
-        is_number = is_finite_number(value) or (value == math.inf and key != "person")
+        is_number = is_finite_number(value) or (
+            value == math.inf and key not in ("person", "delay")
+        )
         if not is_number or value < 0.0:
             raise ValueError("'%s' is not a number of at least 0: %r" % (key, value))
         numbers[key] = value
@@ -74,6 +77,7 @@ def read_fault(data: Any) -> RoomFault:
         to=Pose(*(float(value) for value in to)),
         door=str(data.get("door", "")),
         person=int(numbers["person"]),
+        delay=float(numbers["delay"]),
     )
 
 
@@ -116,7 +120,8 @@ class Faults:
         :raises ValueError: there is no such robot, door or person.
         """
         check_fault(fault, self._room)
-        if "robot" in FAULT_KINDS[fault.kind][0] and fault.robot not in self._physics.robots:
+        names_one = fault.robot or "robot" in FAULT_KINDS[fault.kind][0]
+        if names_one and fault.robot not in self._physics.robots:
             raise ValueError("there is no robot '%s'" % fault.robot)
         self._coming.append(fault)
 
@@ -167,6 +172,7 @@ class Faults:
                     "fault": fault.kind,
                     "of": name,
                     "until": None if math.isinf(end) else round(end, 3),
+                    **({"delay": fault.delay} if fault.kind == "network" else {}),
                 }
                 for (_, name), (fault, end) in sorted(self._active.items())
             ],

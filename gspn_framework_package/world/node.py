@@ -33,6 +33,7 @@ from tf2_msgs.msg import TFMessage
 from gspn_framework_package.formats.source import read_text
 from gspn_framework_package.model.errors import GspnError, InputError
 from gspn_framework_package.ros.options import launched_file
+from gspn_framework_package.srv import Command, CommandRequest, CommandResponse
 from gspn_framework_package.world import messages
 from gspn_framework_package.world.driving_team import DrivingTeam
 from gspn_framework_package.world.faults import read_fault
@@ -95,6 +96,7 @@ class WorldNode:
         self._faults = rospy.Publisher("/world/faults", String, queue_size=1, latch=True)
         self._fault_text = ""
         rospy.Subscriber("/world/fault", String, self._take_fault, queue_size=20)
+        rospy.Service("/world/order_fault", Command, self._order_fault)
         self._robots = [RobotTopics(name, self.team, self._inbox.put, sensing) for name in robots]
         self._gazebo = GazeboServices(self._in_world, self._reset, self.team.models)
         grid = messages.map_message(self.team.grid, MAP_FRAME)
@@ -143,6 +145,24 @@ class WorldNode:
                 rospy.logwarn("world: no such fault: %s", error)
 
         self._inbox.put(order)
+
+    def _order_fault(self, request: CommandRequest) -> CommandResponse:
+        """Have a fault happen that was ordered by service: its kind, its robot and, as JSON, the
+        other keys."""
+        refused = ""
+
+        def order() -> None:
+            nonlocal refused
+            try:
+                keys = json.loads(request.argument or "{}")
+                robot = {"robot": request.robot} if request.robot else {}
+                fault = read_fault({**keys, "fault": request.command, **robot})
+                self.team.faults.order(fault)
+            except (ValueError, TypeError) as error:
+                refused = str(error)
+
+        self._in_world(order)
+        return CommandResponse(not refused, refused or "ordered")
 
     def _report_faults(self) -> None:
         """Publish what goes wrong when that changes."""

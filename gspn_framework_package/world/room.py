@@ -253,13 +253,14 @@ class RoomFault:
 
     :param kind: what: a key of :data:`.FAULT_KINDS`, which also says which of the rest it has.
     :param time: when, in seconds of world time.
-    :param robot: whose.
+    :param robot: whose; "" for all robots, where the fault has no one robot.
     :param wheel: which one slips: ``left``, ``right`` or ``both``.
     :param grip: the friction that is left between a wheel and the floor; 1 is that of a sound one.
     :param lasts: seconds until it is over.
     :param to: where the robot is carried.
     :param door: which one closes.
     :param person: the number of the person who comes.
+    :param delay: seconds of wall time by which the robot hears the others late.
     """
 
     kind: str
@@ -271,6 +272,7 @@ class RoomFault:
     to: Pose = Pose(0.0, 0.0)
     door: str = ""
     person: int = 0
+    delay: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,13 @@ from std_srvs.srv import Empty
 from tf2_msgs.msg import TFMessage
 
 from gspn_framework_package.msg import ModelState, ModelStates
-from gspn_framework_package.srv import DeleteModel, GetModelState, SetModelState, SpawnModel
+from gspn_framework_package.srv import (
+    Command,
+    DeleteModel,
+    GetModelState,
+    SetModelState,
+    SpawnModel,
+)
 
 DEADLINE = 60.0 * float(os.environ.get("GSPN_PATIENCE", "1"))
 """Seconds of wall time; far more than any test here needs."""
@@ -211,6 +217,24 @@ class TestOwnNodes(unittest.TestCase):
         orders.publish(json.dumps({"fault": "fire"}))
         refused = faults.wait(lambda message: json.loads(message.data)["refused"])
         self.assertIn("'fault' is not one of", refused.data)
+        rospy.wait_for_service("/world/order_fault", DEADLINE)
+        serve = rospy.ServiceProxy("/world/order_fault", Command)
+        self.assertTrue(serve("network", "robot_1", json.dumps({"delay": 0.5}), "").success)
+        faults.wait(
+            lambda message: (
+                {"fault": "network", "of": "robot_1", "until": None, "delay": 0.5}
+                in json.loads(message.data)["active"]
+            )
+        )
+        for command, robot, argument, said in (
+            ("fire", "robot_1", "", "'fault' is not one of"),
+            ("lidar", "robot_9", "", "there is no robot 'robot_9'"),
+            ("lidar", "robot_1", "[1]", "mapping"),
+            ("lidar", "robot_1", "{", "line 1"),
+        ):
+            answer = serve(command, robot, argument, "")
+            self.assertFalse(answer.success)
+            self.assertIn(said, answer.message)
 
     def test_7_the_world_stands_still_and_goes_on_and_back_as_in_gazebo(self):
         odometry = self.heard("/robot_1/odom", Odometry)

@@ -89,6 +89,22 @@ def test_a_blocked_robot_stands_for_as_long_as_it_is_said(team):
     assert one.faults.report()["active"] == []
 
 
+def test_messages_are_late_for_one_robot_or_for_all(team):
+    one = team(faults=["{time: 0, fault: network, delay: 0.5, lasts: 1}"])
+    one.step()
+    late = {"fault": "network", "of": "", "until": 1.0, "delay": 0.5}
+    assert one.faults.report()["active"] == [late]
+    order(one, fault="network", delay=2, robot="r1")
+    one.step()
+    of_one = {"fault": "network", "of": "r1", "until": None, "delay": 2.0}
+    assert one.faults.report()["active"] == [late, of_one]
+    order(one, fault="network", delay=0, robot="r1", lasts=0)
+    run(one, 1.5)
+    assert one.faults.report()["active"] == []
+    with pytest.raises(ValueError, match="no robot 'r2'"):
+        order(one, fault="network", delay=2, robot="r2")
+
+
 def test_a_robot_that_is_carried_away_finds_its_way_again(team):
     one = team(faults=["{time: 1, fault: carried, robot: r1, to: [1.5, 0.5, 1.57]}"])
     referee = Referee(one)
