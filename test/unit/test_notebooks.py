@@ -41,7 +41,7 @@ def test_what_differs_is_seen():
 def test_the_document_lists_the_notebooks():
     text = (DOCS / "notebooks.md").read_text("utf-8")
     names = [path.stem for path in pages.notebooks()]
-    assert len(names) >= 3
+    assert len(names) >= 6
     assert re.findall(r"\]\(notebooks/(\w+)\.ipynb\)", text) == names
     assert re.findall(r"^notebooks/(\w+)$", text, re.MULTILINE) == names
 
