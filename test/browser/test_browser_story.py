@@ -104,3 +104,17 @@ def test_the_tabs_stay_in_one_line(serve_folder, open_page, folder):
             "return tabs.scrollWidth - tabs.clientWidth; }"
         )
         assert hidden <= 0, width
+
+
+def test_the_story_of_a_run_that_goes_on_is_read_on(serve_folder, open_page):
+    page = open_page(serve_folder().address + "#file-tokens/instant.json")
+    page.click("#start")
+    page.click("#dialog button:has-text('Start')")
+    page.wait_for_function("() => gspn.model.mode === 'LIVE' && gspn.model.board.n > 50")
+    page.click("#tab-story")
+    page.wait_for_selector(".story-head button:has-text('Read on')")
+    before = page.evaluate("() => gspn.page.story.story.firings")
+    page.click(".story-head button:has-text('Read on')")
+    page.wait_for_function("(before) => gspn.page.story.story.firings > before", arg=before)
+    page.click("#stop")
+    page.click("#dialog button.danger, #dialog button:has-text('Stop')")
