@@ -17,6 +17,9 @@ from gspn_framework_package.execution.replayer import Replayed
 from gspn_framework_package.execution.team_state import RobotState
 from gspn_framework_package.fleet.stay_follower import (
     ACTION_FAILURE,
+    USE_FAILED,
+    USE_PAUSED,
+    USE_WAITING,
     USES,
     Moment,
     Spell,
@@ -250,7 +253,7 @@ class _StoryFollower(StayFollower):
     def waits(self) -> List[Waited]:
         """All waits, those included that have not ended."""
         last = (spells[-1] for spells in self.spells.values() if spells)
-        going_on = [spell for spell in last if spell.use == "waiting" and spell.end == self.now]
+        going_on = [spell for spell in last if spell.use == USE_WAITING and spell.end == self.now]
         slot = self.next_slot - 1
         return self._waits + [
             _waited(spell, self._needs.get(spell.robot, ""), slot)
@@ -260,7 +263,7 @@ class _StoryFollower(StayFollower):
 
     def began(self, robot: RobotState, use: str, step: Replayed) -> None:
         """See :class:`StayFollower`."""
-        if use == "waiting":
+        if use == USE_WAITING:
             self._needs[robot.name] = self.game.why_waiting(step.state, robot)
 
     def spent(self, spell: Spell) -> None:
@@ -273,7 +276,7 @@ class _StoryFollower(StayFollower):
         ):
             spell = spell._replace(begin=known.pop().begin)  # it was cut, at midnight
         known.append(spell)
-        if spell.use == "waiting" and spell.left_by and spell.end - spell.begin >= SHORTEST:
+        if spell.use == USE_WAITING and spell.left_by and spell.end - spell.begin >= SHORTEST:
             self._new.append(spell)
 
     def followed(self, step: Replayed) -> None:
@@ -353,7 +356,7 @@ class _StoryFollower(StayFollower):
             if spell.use in _KEPT:
                 kept = _KEPT[spell.use] + spell.place
                 behind = self._awaited.get((robot, spell.visit))
-                if spell.use == "waiting" and behind:
+                if spell.use == USE_WAITING and behind:
                     kept += " for %s" % behind
                 times[kept] = times.get(kept, 0.0) + spell.end - max(spell.begin, wait.begin)
         least = max(SHORTEST, _SHARE_NAMED * (wait.end - wait.begin))
@@ -373,9 +376,9 @@ _DEEDS = {
 """Kind of an entry -> what happened; the robot or the team is filled in."""
 
 _KEPT = {
-    "paused": "was paused TIME in ",
-    "failed": "stood TIME with a failed action in ",
-    "waiting": _ITSELF + "TIME in ",
+    USE_PAUSED: "was paused TIME in ",
+    USE_FAILED: "stood TIME with a failed action in ",
+    USE_WAITING: _ITSELF + "TIME in ",
 }
 """Use of time -> how it kept a robot; the place follows."""
 

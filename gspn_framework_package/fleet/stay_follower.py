@@ -23,7 +23,13 @@ from gspn_framework_package.model.plan import Plan
 DAY_SECONDS = 86_400
 """Seconds."""
 
-USES = ("acting", "waiting", "paused", "failed", "resting")
+USES = USE_ACTING, USE_WAITING, USE_PAUSED, USE_FAILED, USE_RESTING = (
+    "acting",
+    "waiting",
+    "paused",
+    "failed",
+    "resting",
+)
 """The uses of time in a stay: its action runs; it waits for a transition; it is paused; its action
 failed for good; it has finished."""
 
