@@ -32,7 +32,8 @@ from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.options import Argument, Arguments, repeated
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.execution.attempts import AttemptFollower
-from gspn_framework_package.execution.event_log import LogFile, log_files
+from gspn_framework_package.execution.event_log import log_files
+from gspn_framework_package.execution.log_parts import LogPart
 from gspn_framework_package.execution.logged_attempts import gather
 from gspn_framework_package.execution.observation import RunObserver
 from gspn_framework_package.formats.plan_file import read_plan
@@ -186,35 +187,33 @@ def _read_runs(
     notes = list(gathered.notes)
     runs = []
     for numbers_of_logs in gathered.runs:
-        path = gathered.logs[numbers_of_logs[0]]
-        name, observer = _observe(plan, path, progress)
+        log = gathered.logs[numbers_of_logs[0]]
+        name, observer = _observe(plan, log, progress)
         attempts = [a for a in gathered.attempts if a.log in numbers_of_logs]
         if observer.seconds <= 0:
-            raise LogError("contains no run: no time passes in it", file=path)
+            raise LogError("contains no run: no time passes in it", file=log.path)
         notes += ["run %s: %s" % (name, note) for note in observer.all_notes()]
         runs.append(_Run(name, observer, attempts))
     return runs, notes
 
 
-def _observe(plan: Plan, path: str, progress: Progress) -> Tuple[str, RunObserver]:
+def _observe(plan: Plan, log: LogPart, progress: Progress) -> Tuple[str, RunObserver]:
     """Follow a log from beginning to end."""
-    file = LogFile(path)
-    follower = AttemptFollower(
-        file.plan, str(file.header["robot"]), agents=bool(file.header.get("agents"))
-    )
-    observer = RunObserver(plan, file.plan)
+    agents = bool(log.header.get("agents"))
+    follower = AttemptFollower(log.plan, log.robot, agents=agents, stage=log.stage)
+    observer = RunObserver(plan, log.plan)
     watch = Watch(progress)
-    for line, record in enumerate(file.checked_records(), 2):
+    for line, record in log.numbered_records():
         try:
             follower.take(record)
         except LogError as error:
-            raise error.located(file=path, line=line) from None
+            raise error.located(file=log.path, line=line) from None
         if follower.step is not None:
             observer.take(follower.step, follower.now)
         if line % 1024 == 0:
             watch.step("records compared", line)
     observer.wait(follower.now)
-    return str(file.header["run"]), observer
+    return str(log.header["run"]), observer
 
 
 # -- comparing -------------------------------------------------------------------------------------

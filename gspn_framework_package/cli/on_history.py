@@ -29,6 +29,7 @@ from gspn_framework_package.execution.history import (
     runs_of_logs,
 )
 from gspn_framework_package.execution.history_run import HistoryRun, PlanNames, PlayedHistory
+from gspn_framework_package.execution.log_parts import LogPart
 from gspn_framework_package.execution.net_difference import net_difference
 from gspn_framework_package.fleet.store import Store
 from gspn_framework_package.model.attempt import EventCount
@@ -184,11 +185,10 @@ def on_history(
     watch = Watch(progress)
     reading = Workload(_nothing, _read, None)
     groups = runs_of_logs(history_files(paths))
-    runs: List[RecordedRun] = on.ordered([WorkItem(reading, g) for g in groups], "runs read", watch)
-    for run in runs[1:]:
-        differs = net_difference(runs[0].plan, run.plan)
-        if differs:
-            raise LogError("the nets of %s and %s differ: %s" % (runs[0].name, run.name, differs))
+    found: List[RecordedRun] = on.ordered(
+        [WorkItem(reading, g) for g in groups], "runs read", watch
+    )
+    runs, left_out = _of_one_net(found, [group[0].several for group in groups])
     counts = EventCount.summed(run.counts for run in runs)
     report = fit_plan(runs[0].plan, attempts_of(runs), counts, samples=0, on=on)
     shared = _Shared(new, mapping, report)
@@ -212,7 +212,7 @@ def on_history(
         firings,
         list(_worse(aim, margin, olds, news)),
         margin,
-        [*dict.fromkeys(note for run in runs for note in run.notes)],
+        [*left_out, *dict.fromkeys(note for run in runs for note in run.notes)],
     )
 
 
@@ -247,8 +247,30 @@ def _same(shared: _Shared) -> _Shared:
     return shared
 
 
-def _read(_: None, logs: Sequence[str], __: Watch) -> RecordedRun:
+def _read(_: None, logs: Sequence[LogPart], __: Watch) -> RecordedRun:
     return read_run(logs)
+
+
+def _of_one_net(
+    found: Sequence[RecordedRun], parts: Sequence[bool]
+) -> Tuple[List[RecordedRun], List[str]]:
+    """The runs of the net that was followed last, and notes about those that are left out.
+
+    :param parts: of each run, whether it is a part of one in which the team adopted another plan.
+    :raises LogError: a whole run is of another net.
+    """
+    last = max(found, key=lambda run: run.began)
+    kept, notes = [], []
+    for run, part in zip(found, parts):
+        differs = net_difference(last.plan, run.plan)
+        if not differs:
+            kept.append(run)
+        elif part:
+            told = run.name, run.seconds, differs
+            notes.append("%s is left out (%.4g s), its net is not that of the last plan: %s" % told)
+        else:
+            raise LogError("the nets of %s and %s differ: %s" % (last.name, run.name, differs))
+    return kept, notes
 
 
 def _play(

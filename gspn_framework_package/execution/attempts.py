@@ -21,6 +21,7 @@ from typing import Dict, List, NamedTuple, Optional, Set, Tuple, Union
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import LogClock, Record
 from gspn_framework_package.execution.firing import CancelAction, StartAction
+from gspn_framework_package.execution.log_parts import adopted_number
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.replayer import RECORD_FAULTS, Replayed, Replayer, unusable
 from gspn_framework_package.execution.team_state import TeamState
@@ -57,6 +58,7 @@ class AttemptFollower:
     :param own_only: follow only the robot that keeps the log. This is faster, because it replays
         nothing.
     :param log: the log index to assign to the attempts.
+    :param stage: which adopted plan ``plan`` is (see :func:`.log_parts.adopted_number`).
 
     :ivar now: the time of the newest record (s).
     :ivar step: what the newest record changed, as replayed; None if it holds no slot.
@@ -70,12 +72,13 @@ class AttemptFollower:
         agents: bool = False,
         own_only: bool = False,
         log: int = 0,
+        stage: int = 0,
     ) -> None:
         self.plan = plan
         self.robot = robot
         self.now = 0.0
         self.step: Optional[Replayed] = None
-        self._log = log
+        self._log, self._stage = log, stage
         self._clock = LogClock()
         self._game = TokenGame(plan, agents=agents)
         self._replayer = None if own_only else Replayer(self._game)
@@ -116,16 +119,10 @@ class AttemptFollower:
 
     def _refuse_another_plan(self, record: Record) -> None:
         """:raises LogError: from this record on, the team follows another plan."""
-        if self._replayer is not None:
-            changed = self._replayer.state.adopted is not None
-        else:
-            entries = record.get("entries", ()) if record["kind"] == "slot" else ()
-            changed = any(entry.get("entry") == "adopt" for entry in entries)
-        if changed:
+        if self.step is not None and adopted_number(self.step.state) != self._stage:
             raise LogError(
                 "from slot %s on, the team follows another plan" % record.get("slot"),
-                hint="attempts can be read only from runs under a single plan; use gspn replay or "
-                "gspn verify on this log",
+                hint="follow each part of the log with its plan",
             )
 
     def take(self, record: Record) -> List[Attempt]:

@@ -16,7 +16,8 @@ from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tup
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.attempts import AttemptFollower
-from gspn_framework_package.execution.event_log import LogFile, clock_reading
+from gspn_framework_package.execution.event_log import clock_reading
+from gspn_framework_package.execution.log_parts import LogPart, log_parts
 from gspn_framework_package.execution.logged_attempts import gather
 from gspn_framework_package.execution.replayer import Replayed
 from gspn_framework_package.execution.team_state import TeamState
@@ -97,33 +98,30 @@ class RecordedRun(NamedTuple):
     notes: Tuple[str, ...]
 
 
-def runs_of_logs(paths: Sequence[str]) -> List[Tuple[str, ...]]:
+def runs_of_logs(paths: Sequence[str]) -> List[Tuple[LogPart, ...]]:
     """The logs of each run: those of a team have the name of their run in common. A log that is
-    given twice counts once.
+    given twice counts once. Where a team adopted another plan, another run begins.
 
     :raises LogError: a log cannot be read.
     """
-    runs: Dict[Tuple[str, str], Dict[Tuple[str, str], str]] = {}
-    for path in paths:
-        header = LogFile(path).header
-        robot, log = str(header["robot"]), str(header["log"])
-        run = ("team", str(header["run"])) if robot else ("", log)
-        runs.setdefault(run, {}).setdefault((robot, log), path)
+    runs: Dict[Tuple[str, str], Dict[Tuple[str, str], LogPart]] = {}
+    for part in (part for path in paths for part in log_parts(path)):
+        log = str(part.header["log"])
+        run = ("team", str(part.header["run"])) if part.robot else ("", log)
+        runs.setdefault(run, {}).setdefault((part.robot, log), part)
     return [tuple(logs.values()) for logs in runs.values()]
 
 
-def read_run(paths: Sequence[str]) -> RecordedRun:
+def read_run(logs: Sequence[LogPart]) -> RecordedRun:
     """Read a run from its logs: one of a standalone run, or those of the robots of a team.
 
-    :raises LogError: a log cannot be read or is damaged, no time passes in it, or the team got
-        another plan in the middle.
+    :raises LogError: a log cannot be read or is damaged, or no time passes in it.
     """
-    files = [LogFile(path) for path in paths]
-    team = any(file.header["robot"] for file in files)
-    gathered = gather(paths) if team else None
-    file = files[0] if gathered is None else files[gathered.runs[0][0]]
+    team = any(log.robot for log in logs)
+    gathered = gather(logs) if team else None
+    file = logs[0] if gathered is None else logs[gathered.runs[0][0]]
     reader = _Reader(file)
-    for line, record in enumerate(file.checked_records(), 2):
+    for line, record in file.numbered_records():
         try:
             reader.take(record)
         except LogError as error:
@@ -134,12 +132,13 @@ def read_run(paths: Sequence[str]) -> RecordedRun:
 class _Reader:
     """Reads one log from beginning to end."""
 
-    def __init__(self, file: LogFile) -> None:
+    def __init__(self, file: LogPart) -> None:
         self._file = file
         self._plan = plan = file.plan
         self._agents = bool(file.header.get("agents"))
-        self._follower = AttemptFollower(plan, str(file.header["robot"]), agents=self._agents)
+        self._follower = AttemptFollower(plan, file.robot, agents=self._agents, stage=file.stage)
         game = TokenGame(plan)
+        self._submissions = game.submissions
         self._interrupts = {
             p: [t for t in plan.interrupts(plan.net.places[p].name) if _comes_by_chance(plan, t)]
             for p in (plan.net.place_index[name] for name in plan.action_places)
@@ -244,6 +243,34 @@ class _Reader:
         self._roster = [(r.name, net.places[r.place].name) for r in step.state.active()]
         marking = net.named(step.state.marking)
         self._resources = {p: marking.get(p, 0) for p in self._plan.resource_places}
+        self._tasks_that_wait(step.state)
+        paused = [r.name for r in step.state.active() if r.paused] + [""] * step.state.paused
+        self._arrivals += [(0.0, log_entries.to_json(log_entries.Pause(name))) for name in paused]
+
+    def _tasks_that_wait(self, state: TeamState) -> None:
+        """Let the tasks that wait at the beginning arrive then, through the transition that leads
+        to their queue."""
+        net = self._plan.net
+        leads = {p: t for t in self._submissions for p, _ in net.outputs[t]}
+        for found in state.tasks():
+            t = found.before if found.place is None else leads.get(found.place)
+            if t is None:
+                continue
+            if found.place is not None:
+                self._resources[net.places[found.place].name] -= 1
+            task = found.task
+            entry = log_entries.Submit(
+                net.transitions[t].name,
+                task.id,
+                task.data,
+                priority=task.priority,
+                since=task.since,
+                until=task.until,
+                to=task.to,
+                at=task.at,
+                every=task.every,
+            )
+            self._arrivals.append((0.0, log_entries.to_json(entry)))
 
     def _entry(self, entry: log_entries.Entry, now: float) -> None:
         assert self._began is not None

@@ -15,10 +15,12 @@ from typing import (
     Sequence,
     Set,
     Tuple,
+    TypeVar,
+    Union,
 )
 
 from gspn_framework_package.execution.attempts import AttemptFollower
-from gspn_framework_package.execution.event_log import LogFile, Record
+from gspn_framework_package.execution.log_parts import LogPart, log_parts
 from gspn_framework_package.execution.net_difference import net_difference
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.attempt import Attempt, EventCount
@@ -27,6 +29,8 @@ from gspn_framework_package.model.plan import Plan, Synchronisation
 
 ReadingProgress = Callable[[str, int, float], None]
 """Called from time to time with what is counted, the count, and the seconds so far."""
+
+_Counted = TypeVar("_Counted")
 
 _BETWEEN = 2_000
 """Records between two reports of progress."""
@@ -38,7 +42,8 @@ class Gathered(NamedTuple):
     :ivar plan: the plan of the first log.
     :ivar attempts: every attempt once, run by run and robot by robot in the order of time.
     :ivar events: the transitions of the environment and those of events, by name, over all runs.
-    :ivar logs: the files, as the attempts number them.
+    :ivar logs: the logs, as the attempts number them. One in which the team adopted another plan
+        is as many as it has parts.
     :ivar runs: for each run, the indices of its logs in ``logs``, the longest first.
     :ivar notes: what a person should know about the logs.
     """
@@ -46,7 +51,7 @@ class Gathered(NamedTuple):
     plan: Plan
     attempts: List[Attempt]
     events: Dict[str, EventCount]
-    logs: Tuple[str, ...]
+    logs: Tuple[LogPart, ...]
     runs: Tuple[Tuple[int, ...], ...]
     notes: Tuple[str, ...]
 
@@ -55,23 +60,26 @@ class _Log(NamedTuple):
     """A log among those given; ``length`` is the number of its slots."""
 
     number: int
-    file: LogFile
+    file: LogPart
     length: int
     hashes: Dict[int, str]
 
     @property
     def robot(self) -> str:
-        return str(self.file.header["robot"])
+        return self.file.robot
 
 
 def gather(
-    paths: Sequence[str], plan: Optional[Plan] = None, progress: Optional[ReadingProgress] = None
+    paths: Sequence[Union[str, LogPart]],
+    plan: Optional[Plan] = None,
+    progress: Optional[ReadingProgress] = None,
 ) -> Gathered:
     """Read logs of one or several runs of a plan: of standalone runs, or of the robots of teams.
 
     Of a team, each robot's attempts come from its own log. If that is not among the logs, they come
     from another's, with the times of its slots; in partial synchronisation, where those times say
-    little, they are left out. A log that is given twice counts once.
+    little, they are left out. A log that is given twice counts once. Of a team that adopted another
+    plan, each part is a run, and parts with another net are left out, with a note.
 
     :param plan: the plan that they must be runs of, as far as its net goes; by default that of the
         first log.
@@ -81,32 +89,17 @@ def gather(
     count = _Counter(progress)
     notes: List[str] = []
     logs: List[_Log] = []
-    names = tuple(paths)
-    for number, path in enumerate(names):
-        file = LogFile(path)
-        reference, whose = (
-            (plan, plan.file or "the plan")
-            if plan is not None
-            else (logs[0].file.plan, names[0])
-            if logs
-            else (file.plan, path)
-        )
-        difference = net_difference(reference, file.plan)
-        if difference:
-            raise LogError(
-                "its net differs from that of %s: %s" % (whose, difference),
-                file=path,
-                hint="give logs of runs of the same net only",
-            )
+    parts = _of_the_net([part for path in paths for part in log_parts(path)], plan, notes)
+    for number, file in enumerate(parts):
         hashes: Dict[int, str] = {}
-        for line, record in enumerate(count(file.checked_records()), 2):
+        for line, record in count(file.numbered_records()):
             if record["kind"] in ("slot", "snapshot"):
                 slot = record.get("slot")
                 if type(slot) is not int:
-                    raise LogError("the record is damaged (no slot)", file=path, line=line)
+                    raise LogError("the record is damaged (no slot)", file=file.path, line=line)
                 hashes[slot] = str(record.get("hash"))
         if file.cut:
-            notes.append("the last line of %s was cut off; it is left out" % path)
+            notes.append("the last line of %s was cut off; it is left out" % file.path)
         logs.append(_Log(number, file, len(hashes), hashes))
     attempts: List[Attempt] = []
     counts: List[Mapping[str, EventCount]] = []
@@ -119,12 +112,40 @@ def gather(
         logs[0].file.plan if plan is None else plan,
         attempts,
         EventCount.summed(counts),
-        names,
+        tuple(parts),
         tuple(
             tuple(log.number for log in sorted(run, key=lambda log: -log.length)) for run in runs
         ),
         tuple(notes),
     )
+
+
+def _of_the_net(parts: Sequence[LogPart], plan: Optional[Plan], notes: List[str]) -> List[LogPart]:
+    """The parts that are of the net of ``plan``, or of that of the last part of the first log.
+
+    :raises LogError: a log has none.
+    """
+    reference, whose = plan, "the plan" if plan is None else plan.file or "the plan"
+    if reference is None:
+        last = [part for part in parts if part.path == parts[0].path][-1]
+        reference, whose = last.plan, last.path
+    found: List[LogPart] = []
+    differences: Dict[str, List[str]] = {}
+    for part in parts:
+        difference = net_difference(reference, part.plan)
+        if not difference:
+            found.append(part)
+        elif part.several:
+            notes.append("%s: left out, its net differs: %s" % (part.name, difference))
+        differences.setdefault(part.path, []).append(difference)
+    for path, of_parts in differences.items():
+        if all(of_parts):
+            raise LogError(
+                "its net differs from that of %s: %s" % (whose, of_parts[-1]),
+                file=path,
+                hint="give logs of runs of the same net only",
+            )
+    return found
 
 
 def _runs(logs: Sequence[_Log], notes: List[str]) -> List[List[_Log]]:
@@ -187,6 +208,7 @@ def _read_run(
             agents=bool(log.file.header.get("agents")),
             own_only=bool(log.robot) and not (needs_replay and log is longest),
             log=log.number,
+            stage=log.file.stage,
         )
         for attempt in _follow(follower, log.file, count):
             if attempt.robot != log.robot and attempt.robot in own:
@@ -217,8 +239,8 @@ def _read_run(
     return ordered, events
 
 
-def _follow(follower: AttemptFollower, file: LogFile, count: _Counter) -> Iterator[Attempt]:
-    for line, record in enumerate(count(file.checked_records()), 2):
+def _follow(follower: AttemptFollower, file: LogPart, count: _Counter) -> Iterator[Attempt]:
+    for line, record in count(file.numbered_records()):
         try:
             yield from follower.take(record)
         except LogError as error:
@@ -234,7 +256,7 @@ class _Counter:
         self._count = 0
         self._begin = time.monotonic()
 
-    def __call__(self, records: Iterable[Record]) -> Iterator[Record]:
+    def __call__(self, records: Iterable[_Counted]) -> Iterator[_Counted]:
         for record in records:
             self._count += 1
             if self._progress is not None and self._count % _BETWEEN == 0:

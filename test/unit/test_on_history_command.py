@@ -14,6 +14,7 @@ from gspn_framework_package.cli.main import main
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.history import RecordedRun, read_run
 from gspn_framework_package.execution.history_run import HistoryRun, PlanNames, PlayedHistory
+from gspn_framework_package.execution.log_parts import log_parts
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.testing import Scenario
@@ -118,7 +119,7 @@ def _record(folder: Path, plan: str, seconds: float = 300.0, seed: int = 1) -> s
 
 
 def _play(log: str, **names: str) -> Tuple[RecordedRun, PlayedHistory]:
-    recorded = read_run([log])
+    recorded = read_run(log_parts(log))
     plan = recorded.plan
     return recorded, HistoryRun(plan, recorded, PlanNames.between(plan, plan, names)).play(5)
 
