@@ -85,7 +85,7 @@ VERB_GROUPS: Dict[str, Dict[str, Verb]] = {
         ),
         "import": Verb(
             ".importing",
-            "make a plan of a behaviour tree of BehaviorTree.CPP",
+            "make a plan of a behaviour tree (BehaviorTree.CPP, py_trees) or a machine of SMACH",
             "import tree.xml -o my_plan --robots 2",
         ),
         "check": Verb(
