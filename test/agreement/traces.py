@@ -4,7 +4,8 @@ A team runs in a simulated network that loses, repeats, delays and reorders mess
 of its consensus is noted: what the robot did, and what it then knew. TLC plays the notes on the
 specification (``spec/trace.tla``): each step has to be one of its actions, with the same outcome.
 
-``python3 -m agreement.traces --traces N`` checks N of them.
+``python3 -m agreement.traces --traces N`` checks N of them. With ``--logs FOLDER...``, it checks real
+runs instead: each folder holds the logs of one, written on one machine, with full synchronisation.
 """
 
 from __future__ import annotations
@@ -24,14 +25,23 @@ from unittest import mock
 from agreement.plans import make_plan
 from agreement.specification import FOLDER, JAR, why_not
 from agreement.world import ViolationError, Weather, World
+from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.consensus import Consensus
-from gspn_framework_package.execution.ledger import Item
+from gspn_framework_package.execution.agreement.messages import Batch
+from gspn_framework_package.execution.agreement.quorum import Ballot
+from gspn_framework_package.execution.event_log import EventLog, read_log
+from gspn_framework_package.execution.ledger import Item, Origin
+from gspn_framework_package.model.errors import GspnError, LogError
+from gspn_framework_package.model.plan import Synchronisation
 
 CHUNK = 400
 """How many traces TLC plays in one run."""
 
 Trace = List[str]
 """The steps, as TLA+ records."""
+
+MEMBERS = (log_entries.Join, log_entries.Leave, log_entries.Evict)
+"""The entries that change who is a member."""
 
 
 class Refused(NamedTuple):
@@ -42,6 +52,14 @@ class Refused(NamedTuple):
     step: int
     text: str
     differs: Tuple[str, ...]
+
+
+class Known(NamedTuple):
+    """What a robot knows after a step. ``length``: of its log, with the first slot."""
+
+    length: int
+    promised: Ballot
+    accepted: Optional[Tuple[Ballot, Batch]]
 
 
 class Notes:
@@ -75,20 +93,32 @@ class Notes:
         state = part.state
         if state.ledger.length == 0 or (what == "decide" and state.ledger.length == 1):
             return  # the specification leaves the first slot out
+        self.add(
+            part.config.name,
+            what,
+            ballot,
+            items,
+            Known(state.ledger.length, state.promised, state.accepted),
+        )
+
+    def add(
+        self, robot: str, what: str, ballot: Ballot, items: Sequence[Item], known: Known
+    ) -> None:
+        """Add a step of a robot, which then knew this."""
         accepted = "<<>>"
-        if state.accepted is not None:
-            held, batch = state.accepted
+        if known.accepted is not None:
+            held, batch = known.accepted
             accepted = "<<%s, %s>>" % (self._ballot(held), self._batch(batch.items))
         self.steps.append(
             '[what |-> "%s", robot |-> %d, ballot |-> %s, batch |-> %s, length |-> %d, '
             "promised |-> %s, accepted |-> %s]"
             % (
                 what,
-                self.robots[part.config.name],
+                self.robots[robot],
                 self._ballot(ballot),
                 self._batch(items),
-                state.ledger.length - 1,
-                self._ballot(state.promised),
+                known.length - 1,
+                self._ballot(known.promised),
                 accepted,
             )
         )
@@ -150,6 +180,55 @@ def _stop_sometimes(world: World, source: random.Random) -> None:
     world.at(until, node.resume)
     pause = source.uniform(0.0, 0.4)
     world.at(until + pause, lambda: _stop_sometimes(world, source))
+
+
+BEYOND = ("reset", "outage", "forced", "snapshot")
+"""The records with which something begins that traces do not know."""
+
+
+def traced_logs(logs: Sequence[EventLog], steps: int = 300) -> Tuple[Trace, int]:
+    """The first steps of a real run, and the number of its robots. A trace ends where a robot starts
+    again, or members change.
+
+    :param logs: those of all robots.
+    :raises LogError: they are not logs of one run with full synchronisation on one machine.
+    """
+    plan = logs[0].plan
+    robots = [robot.name for robot in plan.robots]
+    if plan.synchronisation is not Synchronisation.FULL or plan.witness:
+        raise LogError("only full synchronisation without a witness has traces")
+    if sorted(log.robot for log in logs) != sorted(robots):
+        raise LogError("not the logs of exactly %s" % ", ".join(robots))
+    if len({log.header.get("host") for log in logs}) > 1:
+        raise LogError("only the clock of one machine orders what robots do")
+    notes, first = Notes(robots), Ballot(0, robots[0])
+    known = {name: Known(1, first, None) for name in robots}
+    records = [(r["mono"], log.robot, r) for log in logs for r in log.records]
+    for _, robot, record in sorted(records, key=lambda found: found[0]):
+        kind = record["kind"]
+        if kind in BEYOND or (kind == "life" and record["incarnation"] > 0):
+            break
+        if kind not in ("promised", "accepted", "slot") or record.get("slot") == 0:
+            continue
+        ballot, mine = Ballot.from_json(record["ballot"]), record["ballot"][1] == robot
+        items: Sequence[Item] = ()
+        length, promised, accepted = known[robot]
+        if kind == "promised":
+            what = "propose" if mine else "promise"
+            promised = max(promised, ballot)
+        elif kind == "accepted":
+            batch = Batch.from_json(record["batch"])
+            what, items = "second_phase" if mine else "vote", batch.items
+            promised, accepted = max(promised, ballot), (ballot, batch)
+        else:
+            found = zip(record["entries"], record["origins"])
+            items = [Item(log_entries.from_json(e), Origin(*o)) for e, o in found]
+            what, length, accepted = "decide", length + 1, None
+        if any(isinstance(item.entry, MEMBERS) for item in items):
+            break
+        known[robot] = Known(length, promised, accepted)
+        notes.add(robot, what, ballot, items, known[robot])
+    return notes.steps[:steps], len(robots)
 
 
 def check(traces: Sequence[Trace], robots: int) -> List[Refused]:
@@ -216,10 +295,15 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     parser = argparse.ArgumentParser(prog="agreement.traces", description=__doc__.split("\n")[0])
     parser.add_argument("--traces", type=int, default=200, metavar="N", help="how many")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="the first seed")
+    parser.add_argument(
+        "--logs", nargs="+", type=Path, metavar="FOLDER", help="the logs of real runs instead"
+    )
     args = parser.parse_args(arguments)
     if why_not():
         print("agreement.traces: " + why_not(), file=sys.stderr)
         return 2
+    if args.logs:
+        return _check_logs(args.logs)
     wrong = 0
     for first in range(args.seed, args.seed + args.traces, CHUNK):
         seeds = range(first, min(first + CHUNK, args.seed + args.traces))
@@ -232,6 +316,25 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
             print("%d robots: %d traces, %d steps, %d refused, %.1f s" % figures, flush=True)
             for one in refused[:10]:
                 print("refused: trace %d, step %d: %s\n  differs: %s" % one)
+    return int(wrong > 0)
+
+
+def _check_logs(folders: Sequence[Path]) -> int:
+    wrong = 0
+    for folder in folders:
+        try:
+            logs = [read_log(str(path)) for path in sorted(folder.glob("*.jsonl"))]
+            if not logs:
+                raise LogError("there is no log")
+            steps, robots = traced_logs(logs)
+        except GspnError as error:
+            print("%s: left out: %s" % (folder, error), flush=True)
+            continue
+        refused = check([steps], robots)
+        wrong += len(refused)
+        print("%s: %d robots, %d steps, %d refused" % (folder, robots, len(steps), len(refused)))
+        for one in refused:
+            print("refused: step %d: %s\n  differs: %s" % one[1:], flush=True)
     return int(wrong > 0)
 
 
