@@ -65,8 +65,9 @@ def test_the_same_seed_gives_the_same_patrol():
     def report(seed):
         run = Patrol(ROOM, names(2), seed=seed)
         run.run(12)
+        poses = [run.team.physics.pose(name) for name in run.team.robots]
         run.team.close()
-        return run.referee.report()
+        return poses, run.referee.report()
 
     assert report(5) == report(5)
     assert report(5) != report(6)
