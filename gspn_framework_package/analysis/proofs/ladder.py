@@ -41,7 +41,7 @@ from gspn_framework_package.analysis.proofs.questions import (
     MarkingQuestion,
     problem_of,
 )
-from gspn_framework_package.analysis.proofs.witness import realise, walk_until_stuck
+from gspn_framework_package.analysis.proofs.witness import realise, shortened, walk_until_stuck
 from gspn_framework_package.analysis.state_space.space import StateSpace, explore
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.errors import LimitError
@@ -62,6 +62,9 @@ PLACES_EXPLORED = 150
 
 FIRST_FIRINGS = 400
 """Number of firings of random walks before the state equation."""
+
+SHORTENING = 1.0
+"""Most time (s) to take out of a way what it does not need."""
 
 PROVING = 0.6
 """The part of the time that is left then for the state equation."""
@@ -250,9 +253,12 @@ class _Ladder:
         left = max(self._end - time.monotonic(), 0.0)
         watch = Watch(self._progress, self._cancel, seconds=part * left)
         sequence = walk_until_stuck(self._problem, watch, firings)
-        if sequence is not None:
-            return self._violated("random walks", sequence)
-        return None
+        return None if sequence is None else self._found("random walks", sequence)
+
+    def _found(self, name: str, sequence: List[str]) -> Answer:
+        """The answer with firings that are perhaps more than are needed."""
+        watch = Watch(self._progress, self._cancel, seconds=SHORTENING)
+        return self._violated(name, shortened(self._problem, sequence, watch))
 
     def _violated(self, name: str, sequence: Sequence[str]) -> Answer:
         marking = played_to(self._problem, sequence)
@@ -273,7 +279,7 @@ class _Ladder:
             watch = watch.half()
         sequence = realise(self._problem, candidate, watch)
         if sequence is not None:
-            return self._violated("guided search", sequence)
+            return self._found("guided search", sequence)
         self._step("guided search", "no way to it was found")
         return None
 

@@ -119,6 +119,54 @@ def walk_until_stuck(
     return None if found is None else [problem.net.transitions[t].name for t in found]
 
 
+def shortened(problem: Problem, names: List[str], watch: Watch) -> List[str]:
+    """The firings that are left of a way to a bad marking when those that it does not need are
+    taken out, first many at once, then one by one; those that then cannot fire go, too.
+
+    :param names: the names of the transitions.
+    :param watch: how long it may take; the way is not the shortest then, nor always else.
+    """
+    way = [problem.net.transition_index[name] for name in names]
+    markings = _markings_on(problem, problem.net.initial_marking, way)
+    size = len(way) // 2
+    while size:
+        at = 0
+        while at < len(way):
+            try:
+                watch.step("shorter ways", len(way))
+            except LimitError:
+                return [problem.net.transitions[t].name for t in way]
+            rest: List[int] = []
+            after = [markings[at]]
+            for t in way[at + size :]:
+                if t in problem.fires(after[-1]):
+                    rest.append(t)
+                    after.append(problem.net.fire(after[-1], t))
+            if _is_soon_bad(problem, after[-1]):
+                way, markings = way[:at] + rest, markings[:at] + after
+            else:
+                at += size
+        size //= 2
+    return [problem.net.transitions[t].name for t in way]
+
+
+def _is_soon_bad(problem: Problem, marking: Marking) -> bool:
+    """Whether a marking is found to be bad without much work."""
+    if problem.surely is not None and not problem.surely(marking):
+        return False
+    try:
+        return problem.is_bad(marking)
+    except LimitError:
+        return False
+
+
+def _markings_on(problem: Problem, marking: Marking, way: List[int]) -> List[Marking]:
+    markings = [marking]
+    for t in way:
+        markings.append(problem.net.fire(markings[-1], t))
+    return markings
+
+
 def _walk_to_a_trap(
     problem: Problem, surely: Callable[[Marking], bool], watch: Watch, firings: float
 ) -> Optional[List[int]]:
@@ -153,10 +201,8 @@ def _walk_to_a_trap(
                     *_without_loops(markings[: first + 1], way),
                     *_settle(problem, markings[first]),
                 ]
-                marking = net.initial_marking
-                for t in way:
-                    marking = net.fire(marking, t)
-                return way if problem.is_bad(marking) else None
+                end = _markings_on(problem, net.initial_marking, way)[-1]
+                return way if problem.is_bad(end) else None
             if not able:
                 break
     return None
