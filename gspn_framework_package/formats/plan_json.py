@@ -13,7 +13,7 @@ from gspn_framework_package.formats.net_json import net_from_json, net_to_json
 from gspn_framework_package.formats.subnets import SubnetPart, with_parts
 from gspn_framework_package.model.action import ACTION_KINDS, action_from_json, action_to_json
 from gspn_framework_package.model.condition import parse_condition
-from gspn_framework_package.model.duration import Duration, Evidence
+from gspn_framework_package.model.duration import FAMILIES, Duration, Evidence
 from gspn_framework_package.model.errors import ExpressionError, PlanError
 from gspn_framework_package.model.event import SOURCE_KINDS, EventSource, Tasks
 from gspn_framework_package.model.failure import (
@@ -46,8 +46,6 @@ def schema() -> Dict[str, Any]:
     what other packages have added."""
     with open(SCHEMA_FILE, encoding="utf-8") as file:
         loaded: Dict[str, Any] = json.load(file)
-    from gspn_framework_package.model.families import FAMILIES
-
     rules = loaded["properties"]["on_failure"]["additionalProperties"]["oneOf"]
     rules += [kind.form for kind in FAILURE_KINDS.values() if kind.form is not None]
     duration = loaded["definitions"]["duration"]

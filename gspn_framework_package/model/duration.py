@@ -78,6 +78,10 @@ class Family:
     estimate: Optional[Callable[[Any], Mapping[str, float]]] = None
 
 
+FAMILIES: Dict[str, Family] = {}
+"""The families that other packages have added, by name."""
+
+
 class Evidence(NamedTuple):
     """The origin of a learned value of a plan: the number of ``observations``, the names of the
     ``logs``, and the 95 % confidence ``interval`` of the value (for a duration: of its mean, in

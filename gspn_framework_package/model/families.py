@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple
 
 from gspn_framework_package.model.duration import (
+    FAMILIES,
     KEYS,
     Duration,
     DurationPart,
@@ -15,9 +16,6 @@ from gspn_framework_package.model.duration import (
     Kind,
 )
 from gspn_framework_package.model.errors import PlanError
-
-FAMILIES: Dict[str, Family] = {}
-"""The families that other packages have added, by name."""
 
 FOLLOWS = (Kind.UNIFORM, Kind.EMPIRICAL, Kind.HYPER_ERLANG)
 """Families whose mean follows from the other parameters, so that a plan file may omit it."""

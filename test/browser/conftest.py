@@ -18,6 +18,7 @@ from gspn_framework_package.visualizer.session import Session
 from gspn_framework_package.visualizer.standalone_run import StandaloneRun
 
 sys.path.append(str(Path(__file__).parents[1] / "rostest" / "support"))
+sys.path.append(str(Path(__file__).parents[1] / "unit"))
 sys.path.append(str(Path(__file__).parents[1] / "unit" / "visualizer"))
 
 sync_api = pytest.importorskip("playwright.sync_api")

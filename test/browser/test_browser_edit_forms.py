@@ -14,10 +14,10 @@ from gspn_framework_package.formats.plan_json import (
     plan_to_short_json,
     schema,
 )
+from gspn_framework_package.model.duration import FAMILIES
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.event import SOURCE_KINDS
 from gspn_framework_package.model.failure import FAILURE_KINDS
-from gspn_framework_package.model.families import FAMILIES
 from gspn_framework_package.visualizer.documents import Folder
 from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.standalone_run import StandaloneRun

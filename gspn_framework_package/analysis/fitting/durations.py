@@ -24,9 +24,9 @@ from scipy import optimize, special
 
 from gspn_framework_package.analysis import quantiles
 from gspn_framework_package.analysis.fitting.sample import SHORTEST_FITTED, Sample
-from gspn_framework_package.model.duration import Duration, Family, Kind
+from gspn_framework_package.model.duration import FAMILIES, Duration, Family, Kind
 from gspn_framework_package.model.errors import UsageError
-from gspn_framework_package.model.families import FAMILIES, compose
+from gspn_framework_package.model.families import compose
 
 CONFIDENCE = 0.95
 

@@ -35,8 +35,7 @@ from gspn_framework_package.analysis.fitting.testing import (
 )
 from gspn_framework_package.analysis.watch import Progress, Watch
 from gspn_framework_package.model.attempt import Attempt, EventCount
-from gspn_framework_package.model.duration import Duration, Evidence, Family, Kind
-from gspn_framework_package.model.families import FAMILIES
+from gspn_framework_package.model.duration import FAMILIES, Duration, Evidence, Family, Kind
 from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
 

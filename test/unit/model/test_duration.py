@@ -8,9 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gspn_framework_package.formats.plan_json import schema
-from gspn_framework_package.model.duration import KEYS, Duration, DurationPart, Family, Kind
+from gspn_framework_package.model.duration import (
+    FAMILIES,
+    KEYS,
+    Duration,
+    DurationPart,
+    Family,
+    Kind,
+)
 from gspn_framework_package.model.errors import PlanError
-from gspn_framework_package.model.families import FAMILIES, FOLLOWS, compose, duration_from_json
+from gspn_framework_package.model.families import FOLLOWS, compose, duration_from_json
 
 MEANS = st.floats(1e-3, 1e3)
 

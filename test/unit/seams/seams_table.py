@@ -11,6 +11,6 @@ SEAMS = {
     "a kind of action": ["model/action.py: ACTION_KINDS", "execution/local_kinds.py: LOCAL_KINDS"],
     "a source of events": ["model/event.py: SOURCE_KINDS"],
     "a failure rule": ["model/failure.py: FAILURE_KINDS"],
-    "a family of durations": ["model/families.py: FAMILIES"],
+    "a family of durations": ["model/duration.py: FAMILIES"],
 }
 """What is added -> the tables that get a record, and nothing else of the package is touched."""
