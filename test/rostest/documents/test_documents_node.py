@@ -9,8 +9,9 @@ import socket
 import subprocess
 import sys
 import tempfile
+import traceback
 import unittest
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import rosgraph
@@ -61,15 +62,27 @@ class Documents(unittest.TestCase):
         self.assertTrue(found, starts)
         return found
 
+    @contextmanager
+    def trying(self, command):
+        """As ``subTest``, whose failures rosunit counts but does not show."""
+        with self.subTest(str(command)):
+            try:
+                yield
+            except Exception:
+                print("%s failed:" % command, traceback.format_exc(), flush=True)
+                raise
+
     def test_service_calls(self):
         for command in self.commands("rosservice call"):
-            with self.subTest(str(command)):
+            if command.words[2].startswith("/world/"):
+                continue  # there is no room here: test/rostest/world tries them
+            with self.trying(command):
                 answer = self.run_to_the_end(command.line)
                 self.assertNotIn("success: False", answer)
 
     def test_topics(self):
         for command in self.commands("rostopic"):
-            with self.subTest(str(command)):
+            with self.trying(command):
                 if command.line.startswith(WITHOUT_END) and " -n " not in command.line:
                     self.sees_output(command.line)
                 else:
@@ -78,14 +91,14 @@ class Documents(unittest.TestCase):
     def test_programs(self):
         for command in self.commands("rosrun %s" % PACKAGE):
             if command.words[3] not in ORDERS_TRIED_ELSEWHERE:
-                with self.subTest(str(command)):
+                with self.trying(command):
                     self.run_to_the_end(command.line)
         self.run_to_the_end("rosrun %s gspn resume" % PACKAGE)  # one of them pauses the team
 
     def test_launch_files(self):
         """Their nodes are named, which evaluates every argument and every included file."""
         for command in self.commands("roslaunch"):
-            with self.subTest(str(command)):
+            with self.trying(command):
                 listed = "" if "--ros-args" in command.line else " --nodes"
                 output = self.run_to_the_end(
                     command.line.replace("roslaunch", "roslaunch" + listed, 1)
