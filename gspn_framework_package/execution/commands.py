@@ -61,21 +61,22 @@ class Command:
             "GSPN_VISIT": str(context.visit),
             "GSPN_ATTEMPT": str(context.attempt),
         }
-        try:
-            process = subprocess.Popen(
-                words,
-                cwd=self._folder,
-                env={**os.environ, **given},
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                start_new_session=True,
-            )
-        except (OSError, ValueError) as error:
-            text = error.strerror if isinstance(error, OSError) else str(error)
-            raise ActionFailed("'%s' cannot be started: %s" % (words[0], text)) from None
-        killer = _Killer(process, self._grace)
-        _running.add(killer)
+        with _starting:
+            try:
+                process = subprocess.Popen(
+                    words,
+                    cwd=self._folder,
+                    env={**os.environ, **given},
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.PIPE,
+                    start_new_session=True,
+                )
+            except (OSError, ValueError) as error:
+                text = error.strerror if isinstance(error, OSError) else str(error)
+                raise ActionFailed("'%s' cannot be started: %s" % (words[0], text)) from None
+            killer = _Killer(process, self._grace)
+            _running.add(killer)
         context.is_cancelled.on_cancel(killer.end)
         try:
             output, errors = _last_lines(process)
@@ -162,8 +163,13 @@ _running: Set[_Killer] = set()
 """The running programs; they are ended with this process, unless it is killed."""
 
 
+_starting = threading.Lock()
+"""Held while a program starts, so that each that has started is in ``_running``."""
+
+
 @atexit.register
 def _end_all() -> None:
+    _starting.acquire()  # for good: no program starts any more
     for killer in list(_running):
         killer.finish()
 

@@ -25,7 +25,7 @@ from typing import (
 )
 
 from gspn_framework_package.model.errors import PolicyError
-from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.net import MAX_COUNT, Net
 from gspn_framework_package.model.policy_cell import Cell, CountTest, RowIndex, cell_fits, read_cell
 
 SUM_TOLERANCE = 1e-6
@@ -111,7 +111,10 @@ class Policy:
             rows.append(
                 PolicyRow(
                     tuple(
-                        [c if type(c) is int and c >= 0 else read_cell(c, number) for c in cells]
+                        [
+                            c if type(c) is int and 0 <= c <= MAX_COUNT else read_cell(c, number)
+                            for c in cells
+                        ]
                     ),
                     tuple([(str(t), _probability(p, number)) for t, p in choices.items()]),
                 )

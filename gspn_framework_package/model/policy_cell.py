@@ -10,6 +10,7 @@ from operator import itemgetter
 from typing import Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
 
 from gspn_framework_package.model.errors import PolicyError
+from gspn_framework_package.model.net import MAX_COUNT
 
 
 class CountTest(NamedTuple):
@@ -75,7 +76,7 @@ def meet(first: Sequence[Cell], second: Sequence[Cell]) -> bool:
     return True
 
 
-_TEST = re.compile(r"(<=?|>=?|!=)\s*([0-9]+)")
+_TEST = re.compile(r"(<=?|>=?|!=)?\s*([0-9]{1,20})")
 
 
 def read_cell(cell: object, row: int) -> Cell:
@@ -84,29 +85,33 @@ def read_cell(cell: object, row: int) -> Cell:
     :param row: the number of its row, from 1, for the message.
     :raises PolicyError: it is neither a number of tokens, nor a test, nor ``'-'``.
     """
+    sign, tokens = None, -1
     if isinstance(cell, str):
         text = cell.strip()
         if text == "-":
             return None
-        if text.isdigit():
-            return int(text)
         found = _TEST.fullmatch(text)
         if found is not None:
-            test = CountTest(found.group(1), int(found.group(2)))
-            if not ranges(test):
-                raise PolicyError(
-                    "no number of tokens is %s" % str(test), element="policy row %d" % row
-                )
-            return test
-    elif isinstance(cell, int) and not isinstance(cell, bool) and cell >= 0:
-        return cell
-    elif isinstance(cell, float) and cell.is_integer() and cell >= 0:
-        return int(cell)
-    raise PolicyError(
-        "%r is not a number of tokens" % (cell,),
-        element="policy row %d" % row,
-        hint="write a whole number, a comparison such as '>= 1', or '-' for any",
-    )
+            sign, tokens = found.group(1), int(found.group(2))
+    elif isinstance(cell, (int, float)) and not isinstance(cell, bool) and float(cell).is_integer():
+        tokens = int(cell)
+    if tokens < 0:
+        raise PolicyError(
+            "%r is not a number of tokens" % (cell,),
+            element="policy row %d" % row,
+            hint="write a whole number, a comparison such as '>= 1', or '-' for any",
+        )
+    if tokens > MAX_COUNT:
+        raise PolicyError(
+            "%d is more than 2**53 tokens (%d)" % (tokens, MAX_COUNT),
+            element="policy row %d" % row,
+        )
+    if sign is None:
+        return tokens
+    test = CountTest(sign, tokens)
+    if not ranges(test):
+        raise PolicyError("no number of tokens is %s" % str(test), element="policy row %d" % row)
+    return test
 
 
 def written_cell(cell: Cell) -> Union[int, str]:

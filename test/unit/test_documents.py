@@ -61,8 +61,17 @@ SERVICES = {
     "get_state": "GetState",
     "set_place": "SetPlace",
     "command": "Command",
+    "order_fault": "Command",
 }
-TOPICS = {"fired_transitions", "gspn_agreement", "activity", "diagnostics", "clock", "rosout"}
+TOPICS = {
+    "fault",
+    "fired_transitions",
+    "gspn_agreement",
+    "activity",
+    "diagnostics",
+    "clock",
+    "rosout",
+}
 
 SECONDS = 1.0
 """What ``--seconds`` is cut to."""
@@ -467,7 +476,11 @@ def _try_rosservice(command: Command, words: list) -> None:
 
 
 def _try_rostopic(command: Command, words: list) -> None:
-    assert words[0] in ("echo", "hz", "info", "list", "bw"), str(command)
+    assert words[0] in ("echo", "hz", "info", "list", "bw", "pub"), str(command)
+    if words[0] == "pub":
+        import yaml
+
+        assert json.loads(yaml.safe_load(words[-1])["data"]), str(command)
     topics = [word for word in words[1:] if word.startswith("/")]
     assert topics or words[0] == "list", str(command)
     for topic in topics:

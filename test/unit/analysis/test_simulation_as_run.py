@@ -285,7 +285,7 @@ def test_rows_of_a_large_policy_are_found(data):
     net = decision_net()
     source = random.Random(data.draw(st.integers(0, 10**6)))
     policy = random_policy(net, data.draw(st.sampled_from([3, 12, 13, 60])), source)
-    policy = Policy(policy.places, [tested(row, source) for row in policy.rows])
+    policy = Policy(policy.places, [with_comparisons(row, source) for row in policy.rows])
     plan = Plan(net, policy=policy, robots=(RobotSpec("r", "decide"),)).validate()
     tables = PlanTables(plan, PlanTiming(plan))
     table = policy.bind(net)
@@ -305,7 +305,7 @@ def test_rows_of_a_large_policy_are_found(data):
                 assert b.rows.entry_row[entry] == expected.row
 
 
-def tested(row, source):
+def with_comparisons(row, source):
     """The row, or one that tests some of its counts."""
     if source.random() < 0.6:
         return row
