@@ -174,11 +174,14 @@ class Machine:
         self.store = store
 
     def _with_more_results(self, store: NodeStore) -> NodeStore:
-        """Make room for twice as many results, which are found again: that takes less than moving
-        them."""
-        self._st[FORGOTTEN] = 0
+        """Make room for at least twice as many results, which are found again: that takes less than
+        moving them."""
         size = 2 * len(store.fired)
-        if size > _MOST_CACHED:
+        while size < self._st[FORGOTTEN]:
+            size *= 2
+        self._st[FORGOTTEN] = 0
+        size = min(size, _MOST_CACHED)
+        if size == len(store.fired):
             return store
         return store._replace(
             fired=self._zeros(size, np.int64),
