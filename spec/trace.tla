@@ -12,6 +12,8 @@ step == Traces[trace][at]
 TraceBatches(s) == {b \in {step.batch} : b # <<>> /\ Range(b) \subseteq available(s)}
 TraceCounters(s) == {c \in {step.ballot[1]} : c > s.promised[1]}
 TraceWants(p, s) == TRUE
+\* The numbers of a robot's entries are those of the trace, not of its state.
+TraceSpokenFor(p, s) == known_incarnation(p, s) > s.incarnation
 
 Entries(t) == UNION {Range(Traces[t][k].batch) : k \in DOMAIN Traces[t]}
 
@@ -22,15 +24,14 @@ TraceInit ==
 TraceStart ==
   /\ at = 1 /\ proposals = {} /\ Traces[trace] # <<>>
   /\ proposals' = Entries(trace)
-  \* they have their numbers
-  /\ state' = [p \in Process |-> [state[p] EXCEPT !.number = 1000000]]
-  /\ UNCHANGED <<disk, sent, chosen, log_ids, took_part, acted, faults, trace, at>>
+  /\ UNCHANGED <<state, disk, sent, chosen, log_ids, took_part, acted, faults, trace, at>>
 
 Same(field, specified, found) ==
   specified = found \/ (PrintT(<<"differs", trace, at, field, specified, found>>) /\ FALSE)
 
 took(p) ==
-  CASE step.what = "propose" -> propose(p)
+  CASE step.what = "resume" -> resume(p)
+    [] step.what = "propose" -> propose(p)
     [] step.what = "promise" ->
          \E m \in {n \in sent : n.kind = "prepare" /\ n.ballot = step.ballot} : on_prepare(p, m)
     [] step.what = "second_phase" -> first_phase_over(p) \/ lead_on(p)
@@ -46,6 +47,7 @@ knows(s) ==
   /\ Same("length", length(s.ledger), step.length)
   /\ Same("promised", s.promised, step.promised)
   /\ Same("accepted", s.accepted, step.accepted)
+  /\ step.what = "resume" => Same("incarnation", s.incarnation, step.incarnation)
   /\ step.what = "decide" => Same("decided", s.ledger.log[step.length], step.batch)
 
 TraceNext ==

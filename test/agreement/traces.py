@@ -1,7 +1,8 @@
 """Whether ``spec/agreement.tla`` allows what simulated teams of real replicas do.
 
-A team runs in a simulated network that loses, repeats, delays and reorders messages, and every step
-of its consensus is noted: what the robot did, and what it then knew. TLC plays the notes on the
+A team runs in a simulated network that loses, repeats, delays and reorders messages; its processes
+are suspended, or killed and started again with their logs. Every step of its consensus is noted:
+what the robot did, and what it then knew. TLC plays the notes on the
 specification (``spec/trace.tla``): each step has to be one of its actions, with the same outcome.
 
 ``python3 -m agreement.traces --traces N`` checks N of them. With ``--logs FOLDER...``, it checks real
@@ -19,7 +20,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple, Union
 from unittest import mock
 
 from agreement.plans import make_plan
@@ -27,6 +28,7 @@ from agreement.specification import FOLDER, JAR, why_not
 from agreement.world import ViolationError, Weather, World
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.consensus import Consensus
+from gspn_framework_package.execution.agreement.membership import Membership
 from gspn_framework_package.execution.agreement.messages import Batch
 from gspn_framework_package.execution.agreement.quorum import Ballot
 from gspn_framework_package.execution.event_log import EventLog, read_log
@@ -40,8 +42,8 @@ CHUNK = 400
 Trace = List[str]
 """The steps, as TLA+ records."""
 
-MEMBERS = (log_entries.Join, log_entries.Leave, log_entries.Evict)
-"""The entries that change who is a member."""
+DEPARTURES = (log_entries.Leave, log_entries.Evict)
+"""The entries after which a robot is no member any more."""
 
 
 class Refused(NamedTuple):
@@ -60,6 +62,7 @@ class Known(NamedTuple):
     length: int
     promised: Ballot
     accepted: Optional[Tuple[Ballot, Batch]]
+    incarnation: int
 
 
 class Notes:
@@ -71,14 +74,18 @@ class Notes:
     def __init__(self, names: Sequence[str]) -> None:
         self.robots = {name: number for number, name in enumerate(names, 1)}
         self.steps: Trace = []
+        self.ended = False  # a member has departed, which traces do not know
 
     def _item(self, item: Item) -> str:
         robot, incarnation, number, _ = item.origin
         by = self.robots[robot]
+        name, life = "Done", 0
+        if isinstance(item.entry, log_entries.Join):
+            name, life = "Join", item.entry.incarnation
         return (
-            '[entry |-> "Done", robot |-> %d, life |-> 0, forced |-> FALSE, by |-> %d, '
+            '[entry |-> "%s", robot |-> %d, life |-> %d, forced |-> FALSE, by |-> %d, '
             "incarnation |-> %d, number |-> %d, log |-> 1, told_at |-> 0, before |-> <<>>]"
-            % (by, by, incarnation, number)
+            % (name, by, life, by, incarnation, number)
         )
 
     def _batch(self, items: Sequence[Item]) -> str:
@@ -88,7 +95,9 @@ class Notes:
         log = 1 if ballot.counter else 0
         return "<<%d, %d, %d>>" % (ballot.counter, self.robots[ballot.robot], log)
 
-    def note(self, part: Consensus, what: str, ballot: Any, items: Sequence[Item]) -> None:
+    def note(
+        self, part: Union[Consensus, Membership], what: str, ballot: Any, items: Sequence[Item]
+    ) -> None:
         """Note a step that a replica has taken."""
         state = part.state
         if state.ledger.length == 0 or (what == "decide" and state.ledger.length == 1):
@@ -98,20 +107,23 @@ class Notes:
             what,
             ballot,
             items,
-            Known(state.ledger.length, state.promised, state.accepted),
+            Known(state.ledger.length, state.promised, state.accepted, state.incarnation),
         )
 
     def add(
         self, robot: str, what: str, ballot: Ballot, items: Sequence[Item], known: Known
     ) -> None:
         """Add a step of a robot, which then knew this."""
+        self.ended = self.ended or any(isinstance(item.entry, DEPARTURES) for item in items)
+        if self.ended:
+            return
         accepted = "<<>>"
         if known.accepted is not None:
             held, batch = known.accepted
             accepted = "<<%s, %s>>" % (self._ballot(held), self._batch(batch.items))
         self.steps.append(
             '[what |-> "%s", robot |-> %d, ballot |-> %s, batch |-> %s, length |-> %d, '
-            "promised |-> %s, accepted |-> %s]"
+            "promised |-> %s, accepted |-> %s, incarnation |-> %d]"
             % (
                 what,
                 self.robots[robot],
@@ -120,18 +132,21 @@ class Notes:
                 known.length - 1,
                 self._ballot(known.promised),
                 accepted,
+                known.incarnation,
             )
         )
 
 
 @contextlib.contextmanager
 def noting(notes: Notes) -> Iterator[None]:
-    """While this runs, every step of a consensus is noted."""
+    """While this runs, every step of a consensus is noted, and every new life of a robot: as long
+    as nobody departs or loses a log, a life ends only with its process."""
     promise, persist, next_slot = (
         Consensus._promise,
         Consensus._persist_accepted,
         Consensus.next_slot,
     )
+    new_life = Membership.new_life
 
     def promising(self: Consensus, ballot: Any, torn: Any) -> None:
         promise(self, ballot, torn)
@@ -150,9 +165,14 @@ def noting(notes: Notes) -> Iterator[None]:
         ((ballot, batch, _),) = self.state.recent.since(self.state.ledger.length - 1) or ()
         notes.note(self, "decide", ballot, batch.items)
 
-    with mock.patch.multiple(
+    def resuming(self: Membership) -> None:
+        new_life(self)
+        notes.note(self, "resume", self.state.promised, ())
+
+    steps = mock.patch.multiple(
         Consensus, _promise=promising, _persist_accepted=accepting, next_slot=deciding
-    ):
+    )
+    with steps, mock.patch.object(Membership, "new_life", resuming):
         yield
 
 
@@ -168,16 +188,21 @@ def traced(seed: int, robots: int, steps: int = 60) -> Trace:
         for node in world.nodes.values():
             node.start()
         _stop_sometimes(world, source)
-        world.run(6.0, lambda: len(notes.steps) >= steps)
+        world.run(6.0, lambda: notes.ended or len(notes.steps) >= steps)
     return notes.steps[:steps]
 
 
 def _stop_sometimes(world: World, source: random.Random) -> None:
-    """Suspend a robot now and then, so that others take over."""
+    """Suspend a robot now and then, so that others take over, or kill it and start it again."""
     node = source.choice(list(world.nodes.values()))
     until = world.now + source.uniform(0.05, 0.6)
-    node.suspended = True
-    world.at(until, node.resume)
+    begun = node.replica is not None and node.replica.state.ledger.length > 0
+    if begun and source.random() < 0.3:
+        node.crash()
+        world.at(until, node.start)
+    else:
+        node.suspended = True
+        world.at(until, node.resume)
     pause = source.uniform(0.0, 0.4)
     world.at(until + pause, lambda: _stop_sometimes(world, source))
 
@@ -187,8 +212,8 @@ BEYOND = ("reset", "outage", "forced", "snapshot")
 
 
 def traced_logs(logs: Sequence[EventLog], steps: int = 300) -> Tuple[Trace, int]:
-    """The first steps of a real run, and the number of its robots. A trace ends where a robot starts
-    again, or members change.
+    """The first steps of a real run, and the number of its robots. A trace ends where a member
+    departs, or a log is lost.
 
     :param logs: those of all robots.
     :raises LogError: they are not logs of one run with full synchronisation on one machine.
@@ -202,17 +227,20 @@ def traced_logs(logs: Sequence[EventLog], steps: int = 300) -> Tuple[Trace, int]
     if len({log.header.get("host") for log in logs}) > 1:
         raise LogError("only the clock of one machine orders what robots do")
     notes, first = Notes(robots), Ballot(0, robots[0])
-    known = {name: Known(1, first, None) for name in robots}
+    known = {name: Known(1, first, None, 0) for name in robots}
     records = [(r["mono"], log.robot, r) for log in logs for r in log.records]
     for _, robot, record in sorted(records, key=lambda found: found[0]):
         kind = record["kind"]
-        if kind in BEYOND or (kind == "life" and record["incarnation"] > 0):
+        if kind in BEYOND or notes.ended:
             break
+        if kind == "life" and record["incarnation"] > 0:
+            known[robot] = known[robot]._replace(incarnation=record["incarnation"])
+            notes.add(robot, "resume", known[robot].promised, (), known[robot])
         if kind not in ("promised", "accepted", "slot") or record.get("slot") == 0:
             continue
         ballot, mine = Ballot.from_json(record["ballot"]), record["ballot"][1] == robot
         items: Sequence[Item] = ()
-        length, promised, accepted = known[robot]
+        length, promised, accepted, incarnation = known[robot]
         if kind == "promised":
             what = "propose" if mine else "promise"
             promised = max(promised, ballot)
@@ -224,9 +252,7 @@ def traced_logs(logs: Sequence[EventLog], steps: int = 300) -> Tuple[Trace, int]
             found = zip(record["entries"], record["origins"])
             items = [Item(log_entries.from_json(e), Origin(*o)) for e, o in found]
             what, length, accepted = "decide", length + 1, None
-        if any(isinstance(item.entry, MEMBERS) for item in items):
-            break
-        known[robot] = Known(length, promised, accepted)
+        known[robot] = Known(length, promised, accepted, incarnation)
         notes.add(robot, what, ballot, items, known[robot])
     return notes.steps[:steps], len(robots)
 
@@ -282,11 +308,17 @@ def _configuration(robots: int) -> str:
         "MaxLogs": "1",
     }
     faults = "Restarts Losses Outages Evictions Assertions Moves Pauses GiveBacks"
-    constants.update(dict.fromkeys(faults.split(), "0"))
+    constants.update(dict.fromkeys(faults.split(), "0"), Restarts="1000")
     lines = ["SPECIFICATION TraceSpec", "CONSTANTS"]
     lines += ["  %s = %s" % pair for pair in constants.items()]
     lines += ["  batches <- TraceBatches", "  counters <- TraceCounters"]
-    lines += ["  wants <- TraceWants", "INVARIANTS", "  Agreement", "  PromisesAreKept"]
+    lines += [
+        "  wants <- TraceWants",
+        "  spoken_for <- TraceSpokenFor",
+        "INVARIANTS",
+        "  Agreement",
+        "  PromisesAreKept",
+    ]
     return "\n".join(lines) + "\n"
 
 
