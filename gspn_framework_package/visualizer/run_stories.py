@@ -40,15 +40,15 @@ class RunStories:
         path = session.activity.log
         if not path:
             raise InputError(
-                "there is no log of a run here to tell a story from",
+                "this server has no log of a run",
                 hint="open a recorded run, or start this plan on this server with recording",
             )
         size = os.path.getsize(path)
         if size > STORY_BYTES:
             raise InputError(
-                "the log has %d MB; the page tells stories of up to %d MB"
+                "the log has %d MB; the page reads up to %d MB"
                 % (size // 1_000_000, STORY_BYTES // 1_000_000),
-                hint="gspn report tells longer ones",
+                hint="gspn report reads longer logs",
             )
         with self._lock:
             if self._read != (path, size):
@@ -75,12 +75,12 @@ def add_routes(app: flask.Flask, project: Project) -> None:
     @app.route("/api/report")
     def report() -> Response:
         session = shown()
-        told = stories.of(session)
+        found = stories.of(session)
         name = os.path.basename(session.activity.log or "")
         link = "%s#%s" % (request.host_url, quote(session.key, safe=""))
         # slots are found in recorded runs only
-        page = story_page(told, name, link if session.activity.mode == "REPLAY" else "")
+        page = story_page(found, name, link if session.activity.mode == "REPLAY" else "")
         response = Response(page, mimetype="text/html")
-        stem = re.sub("[^A-Za-z0-9._-]+", "_", told.run)
+        stem = re.sub("[^A-Za-z0-9._-]+", "_", found.run)
         response.headers["Content-Disposition"] = "attachment; filename=%s.html" % stem
         return response
