@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 
 import pytest
+from page_reading import resize
 from shop import write_shop
 
 from gspn_framework_package.formats.plan_file import read_plan
@@ -702,6 +703,15 @@ def test_the_policy_as_a_table(editor, axe, picture):
     ]
     enter(page, "policy.rows.1.marking.0", "-")
     enter(page, row + ".marking.0", "2")
+    # two columns need no sideways scroll, and no button needs a rare glyph
+    for width in (1280, 1024):
+        resize(page, width, 720)
+        wide, shown = page.locator("#ed-policy .scroll").first.evaluate(
+            "(element) => [element.scrollWidth, element.clientWidth]"
+        )
+        assert wide <= shown, width
+    assert control(page, row + " Duplicate").locator("svg path").count() == 1
+    picture(page, "edit_policy_1024")
     # rows: duplicated (which never applies, and is marked), moved, removed; columns
     control(page, row + " Duplicate").click()
     page.wait_for_selector("#ed-policy tr.marked:has-text('this row never applies')")

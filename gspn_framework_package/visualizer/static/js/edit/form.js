@@ -411,8 +411,8 @@ export class FormPanel {
     return box;
   }
 
-  button(key, text, act, attributes = {}) {
-    return h("button", { type: "button", text, "data-key": key, onclick: act, ...attributes });
+  button(key, face, act, attributes = {}) {
+    return h("button", { type: "button", "data-key": key, onclick: act, ...attributes }, face);
   }
 
   /** The button that removes an entry; the focus then goes to `next` (a key). */

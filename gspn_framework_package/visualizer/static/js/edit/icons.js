@@ -1,5 +1,5 @@
-// The pictures on the buttons of the editor's tool bar, drawn on 16 × 16 px: the id of a button -> the lines of its
-// picture.
+// The pictures on the buttons of the editor, drawn on 16 × 16 px: the id of a button of the tool bar, or what a button
+// of the table of the policy does -> the lines of its picture.
 
 import { s } from "../dom.js";
 
@@ -22,6 +22,7 @@ const ICONS = {
   "ed-timed": "M2.5 3.5h4v9h-4zM12 3.5v9M11.2 3.5v9",
   "ed-verdict": "M11.5 7a4.5 4.5 0 1 1-9 0a4.5 4.5 0 1 1 9 0M10.3 10.3l3.2 3.2",
   "ed-here-open": "M5.6 6a2.4 2.4 0 1 1 3.6 2.1c-.8.5-1.2.9-1.2 1.9M8 12.8v.1",
+  "row-duplicate": "M6 6h7.5v7.5H6zM10 6V2.5H2.5V10H6",
   "ed-diff": "M5 2.5v6M2 5.5h6M8.5 12.5h5.5M12.5 2.5l-9 11",
 };
 

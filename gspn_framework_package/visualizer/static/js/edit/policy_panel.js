@@ -3,6 +3,7 @@
 
 import { columns, h, plural, table } from "../dom.js";
 import { Lens } from "./form.js";
+import { iconOf } from "./icons.js";
 import { NAMES } from "./names.js";
 import { PlanForm } from "./property_panel.js";
 import { ProposedRows } from "./proposed_rows.js";
@@ -294,7 +295,7 @@ export class PolicyPanel extends PlanForm {
         { tabindex: "0", role: "region", "aria-label": "Rows of the policy" },
         table(
           "table.ed-policy",
-          columns(["Row", ...policy.places, "Chooses", h("span.unseen", "Change the rows")]),
+          columns(["Row", ...policy.places, "Chooses"]),
           page.map((row, i) =>
             this.tableRow(policy, row, this.first + i, marks.get(this.first + i)),
           ),
@@ -329,8 +330,8 @@ export class PolicyPanel extends PlanForm {
 
   tableRow(policy, row, i, marks = []) {
     const lens = this.row(i);
-    const named = (what, act, text, disabled = false) =>
-      this.button(`policy.rows.${i} ${what}`, text, act, {
+    const named = (what, act, face, disabled = false) =>
+      this.button(`policy.rows.${i} ${what}`, face, act, {
         class: "icon",
         "aria-label": `${what} row ${i + 1}`,
         title: `${what} row ${i + 1}`,
@@ -349,17 +350,22 @@ export class PolicyPanel extends PlanForm {
           title: "Rows that can match in the same marking",
           text: this.meeting(i),
         }),
-      ),
-      h(
-        "td.row-buttons",
-        named("Move up", () => this.moveRow(i, i - 1), "↑", i === 0),
-        named("Move down", () => this.moveRow(i, i + 1), "↓", i === policy.rows.length - 1),
-        named(
-          "Duplicate",
-          () => this.insertRow(i + 1, row, `Duplicate row ${i + 1} of the policy`),
-          "⧉",
+        h(
+          "div.row-buttons",
+          named("Move up", () => this.moveRow(i, i - 1), "↑", i === 0),
+          named("Move down", () => this.moveRow(i, i + 1), "↓", i === policy.rows.length - 1),
+          named(
+            "Duplicate",
+            () => this.insertRow(i + 1, row, `Duplicate row ${i + 1} of the policy`),
+            iconOf("row-duplicate"),
+          ),
+          this.remove(
+            `policy.rows.${i}`,
+            `row ${i + 1}`,
+            () => this.removeRow(i),
+            "policy.rows add",
+          ),
         ),
-        this.remove(`policy.rows.${i}`, `row ${i + 1}`, () => this.removeRow(i), "policy.rows add"),
       ),
     );
   }
