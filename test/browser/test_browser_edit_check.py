@@ -144,10 +144,13 @@ def test_each_edit_is_checked_and_the_witness_plays(open_editor, axe, tmp_path):
     axe(page, "the editor with changes")
     page.click("#ed-tab-checks")
     axe(page, "the editor with findings")
-    resize(page, 1280, 720)
-    for part in ("#ed-tools .ed-group:not([hidden])", "#ed-tabs button"):  # each on one line
-        rows = "(elements) => new Set(elements.map((e) => e.getBoundingClientRect().top)).size"
-        assert page.locator(part).evaluate_all(rows) == 1, part
+    rows = "(elements) => new Set(elements.map((e) => e.getBoundingClientRect().top)).size"
+    for width in (1024, 1280):
+        resize(page, width, 720)
+        for part in ("#ed-tools .ed-group:not([hidden])", "#ed-tabs button"):  # each on one line
+            assert page.locator(part).evaluate_all(rows) == 1, (width, part)
+        ends = "(elements) => Math.max(...elements.map((e) => e.getBoundingClientRect().right))"
+        assert page.locator("#ed-tools button:visible").evaluate_all(ends) <= width
     page.click("#ed-tab-here")
     axe(page, "the editor with what happens")
 
