@@ -80,6 +80,8 @@ class Problem(NamedTuple):
     :ivar surely: says of some markings that every marking that follows, if what goes on by itself
         ends, is bad; None if nothing quick says so.
     :ivar settling: the transitions that end what goes on by itself.
+    :ivar chosen: whether a transition that the net enables in a marking is one of ``fires``; None
+        if there is nothing quicker than to look.
     """
 
     net: Net
@@ -89,6 +91,7 @@ class Problem(NamedTuple):
     fires: Callable[[Marking], Iterable[int]]
     surely: Optional[Callable[[Marking], bool]] = None
     settling: Tuple[int, ...] = ()
+    chosen: Optional[Callable[[Marking, int], bool]] = None
 
 
 class CountBox:

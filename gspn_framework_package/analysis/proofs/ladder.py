@@ -61,7 +61,10 @@ PLACES_EXPLORED = 150
 """Number of places up to which exploration finds what random walks would."""
 
 FIRST_FIRINGS = 400
-"""Number of firings of random walks before the state equation."""
+"""Number of firings of random walks before the state equation, for few robots."""
+
+FIRINGS_OF_EACH = 20
+"""Number of these firings for each robot, where that is more."""
 
 SHORTENING = 1.0
 """Most time (s) to take out of a way what it does not need."""
@@ -192,7 +195,7 @@ class _Ladder:
         if self._problem.is_bad(self._problem.net.initial_marking):
             return self._violated("exploration", ())
         large = len(self._problem.net.places) > PLACES_EXPLORED
-        answer = self._wander(1.0, FIRST_FIRINGS) if large else None
+        answer = self._wander(1.0, self._first_firings()) if large else None
         if answer is not None:
             return answer
         found = self._prove()
@@ -212,6 +215,10 @@ class _Ladder:
         """The answer if a step could not be taken."""
         self._step("exploration", reason)
         return Answer(self._question, NOT_DECIDED, tuple(self._steps))
+
+    def _first_firings(self) -> int:
+        robots = len(self._subject.robots) if isinstance(self._subject, Plan) else 0
+        return max(FIRST_FIRINGS, FIRINGS_OF_EACH * robots)
 
     def _watch(self) -> Watch:
         left = max(self._end - time.monotonic(), 0.0)

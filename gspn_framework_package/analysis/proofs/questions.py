@@ -263,8 +263,10 @@ class _OfPlan:
         transitions = self._firing()
         if kind == CAN_MOVE and self._until is None:
             steps = tuple(settling(net, self._by_themselves()))
-            return Problem(net, transitions, facts, is_bad, self.fires, self._stuck, steps)
-        return Problem(net, transitions, facts, is_bad, self.fires)
+            return Problem(
+                net, transitions, facts, is_bad, self.fires, self._stuck, steps, self._chosen
+            )
+        return Problem(net, transitions, facts, is_bad, self.fires, chosen=self._chosen)
 
     def _firing(self) -> Tuple[int, ...]:
         """The transitions that may ever fire."""
@@ -308,10 +310,7 @@ class _OfPlan:
         rule of failure, an event or the loss of a robot asks for."""
         if self._is_over(marking):
             return []
-        full = [0] * len(self._plan.net.places)
-        for p, count in zip(self._original, marking):
-            full[p] = count
-        net = self._net
+        full, net = self._with_all_places(marking), self._net
         return [
             t
             for p in (-1, *(p for p, count in enumerate(marking) if count))
@@ -319,6 +318,21 @@ class _OfPlan:
             if net.is_enabled(marking, t)
             and (not self._asking(t) or self._named(t) or self._chosen_in(full, t))
         ]
+
+    def _chosen(self, marking: Marking, t: int) -> bool:
+        """Whether a transition that is enabled is one of :meth:`fires`."""
+        if self._is_over(marking):
+            return False
+        if not self._asking(t) or self._named(t):
+            return True
+        return self._chosen_in(self._with_all_places(marking), t)
+
+    def _with_all_places(self, marking: Marking) -> List[int]:
+        """The marking of the plan's net, counters at 0."""
+        full = [0] * len(self._plan.net.places)
+        for p, count in zip(self._original, marking):
+            full[p] = count
+        return full
 
     def _asking(self, t: int) -> List[int]:
         """The places of the robots that ask the policy for ``t``; none for other transitions."""

@@ -121,39 +121,45 @@ def walk_until_stuck(
 
 def shortened(problem: Problem, names: List[str], watch: Watch) -> List[str]:
     """The firings that are left of a way to a bad marking when those that it does not need are
-    taken out, first many at once, then one by one; those that then cannot fire go, too.
+    taken out: each in turn, with those that then cannot fire, such as all that one robot did.
 
     :param names: the names of the transitions.
-    :param watch: how long it may take; the way is not the shortest then, nor always else.
+    :param watch: how long it may take; more than is needed may be left then.
     """
-    way = [problem.net.transition_index[name] for name in names]
-    markings = _markings_on(problem, problem.net.initial_marking, way)
-    size = len(way) // 2
-    while size:
-        at = 0
-        while at < len(way):
-            try:
-                watch.step("shorter ways", len(way))
-            except LimitError:
-                return [problem.net.transitions[t].name for t in way]
+    net = problem.net
+    chosen = problem.chosen or (lambda marking, t: t in problem.fires(marking))
+    way = [net.transition_index[name] for name in names]
+    markings = _markings_on(problem, net.initial_marking, way)
+    at = kept = 0  # how many were tried since one was taken out
+    try:
+        while kept < len(way):
             rest: List[int] = []
             after = [markings[at]]
-            for t in way[at + size :]:
-                if t in problem.fires(after[-1]):
+            for t in way[at + 1 :]:
+                watch.step("shorter ways", len(way))
+                if net.is_enabled(after[-1], t) and chosen(after[-1], t):
                     rest.append(t)
-                    after.append(problem.net.fire(after[-1], t))
-            if _is_soon_bad(problem, after[-1]):
-                way, markings = way[:at] + rest, markings[:at] + after
+                    after.append(net.fire(after[-1], t))
+            if _leads_to_bad(problem, after[-1]):
+                way, markings, kept = way[:at] + rest, markings[:at] + after, 0
             else:
-                at += size
-        size //= 2
-    return [problem.net.transitions[t].name for t in way]
+                at, kept = at + 1, kept + 1
+            at = at if at < len(way) else 0
+    except LimitError:
+        pass
+    way = way + _settle(problem, markings[-1])
+    try:
+        if problem.is_bad(_markings_on(problem, net.initial_marking, way)[-1]):
+            return [net.transitions[t].name for t in way]
+    except LimitError:
+        pass  # too much follows there to see that it is bad
+    return names
 
 
-def _is_soon_bad(problem: Problem, marking: Marking) -> bool:
-    """Whether a marking is found to be bad without much work."""
-    if problem.surely is not None and not problem.surely(marking):
-        return False
+def _leads_to_bad(problem: Problem, marking: Marking) -> bool:
+    """Whether a marking is bad, or surely is once what goes on has ended."""
+    if problem.surely is not None:
+        return problem.surely(marking)
     try:
         return problem.is_bad(marking)
     except LimitError:

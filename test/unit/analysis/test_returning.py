@@ -18,7 +18,7 @@ from gspn_framework_package.analysis.graph import can_reach
 from gspn_framework_package.analysis.plan.markings import PlanMarkings
 from gspn_framework_package.analysis.plan.structure import terminal_places
 from gspn_framework_package.analysis.proofs import ladder, returning, witness
-from gspn_framework_package.analysis.proofs.checker import check_certificate, played_to
+from gspn_framework_package.analysis.proofs.checker import ProofError, check_certificate, played_to
 from gspn_framework_package.analysis.proofs.ladder import (
     NOT_DECIDED,
     PROVEN,
@@ -268,6 +268,7 @@ def test_robots_that_block_each_other_while_others_go_on_are_found_by_walking(
     tmp_path, monkeypatch
 ):
     monkeypatch.setattr(ladder, "PLACES_EXPLORED", 0)
+    monkeypatch.setattr(ladder, "SHORTENING", 60.0)
     for robots, verdict in ((1, PROVEN), (12, VIOLATED)):
         (tmp_path / str(robots)).mkdir()
         plan = narrow(robots, tmp_path / str(robots))
@@ -276,7 +277,21 @@ def test_robots_that_block_each_other_while_others_go_on_are_found_by_walking(
         assert answer.verdict == verdict
     assert answer.decided_by == "random walks"
     assert {"At_mid_full", "At_far_low"} <= set(answer.marking)
-    played_to(problem_of(plan, question), answer.sequence)
+    problem = problem_of(plan, question)
+    played_to(problem, answer.sequence)
+    # two robots are at fault, and what the others did is left out
+    assert sum(name.startswith("Go_hall") for name in answer.sequence) <= 4
+    for left_out in range(len(answer.sequence)):
+        with pytest.raises(ProofError):
+            played_to(problem, answer.sequence[:left_out] + answer.sequence[left_out + 1 :])
+
+
+def test_how_far_walks_go_grows_with_the_team(tmp_path, monkeypatch):
+    monkeypatch.setattr(ladder, "PLACES_EXPLORED", 0)
+    monkeypatch.setattr(ladder, "FIRST_FIRINGS", 1)
+    monkeypatch.setattr(ladder, "FIRINGS_OF_EACH", 40)
+    answer = decide_question(narrow(12, tmp_path), MarkingQuestion(CAN_MOVE), limit=0)
+    assert [step.name for step in answer.steps] == ["random walks"]
 
 
 @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
