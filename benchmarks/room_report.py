@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, Dict, Mapping, Sequence
 
 from benchmarks.machine import table
+from gspn_framework_package.execution.verifier import Verdict
 
 FAULTS = (
     "contacts_between_robots",
@@ -29,6 +30,11 @@ def figures(report: Dict[str, Any]) -> Dict[str, Any]:
     chosen["locations_per_robot"] = report["entries"] / max(len(report["robots"]), 1)
     chosen["visits_per_hour"] = 3600 * report["entries"] / report["simulated_seconds"]
     return chosen
+
+
+def verdict_text(verdict: Verdict) -> str:
+    """What the verifier found in the logs of a run, in words."""
+    return "valid" if verdict.violation is None else "rule %d: %s" % verdict.violation
 
 
 THESIS: Mapping[int, str] = {

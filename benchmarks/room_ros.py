@@ -14,7 +14,7 @@ from typing import Any, Dict, List, Optional, Tuple
 from benchmarks.harness.master import Master, need_ros
 from benchmarks.harness.processes import cost_of, descendants
 from benchmarks.harness.team import launch_words
-from benchmarks.room_report import figures
+from benchmarks.room_report import figures, verdict_text
 from gspn_framework_package.execution.event_log import EventLog, log_files, read_log
 from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.verifier import verify
@@ -208,7 +208,7 @@ def read_logs(folder: str) -> Dict[str, Any]:
         "failed_actions": len(failed),
         "policy_misses": count_policy_misses(max(logs, key=lambda log: len(log.records))),
         "log_violations": int(verdict.violation is not None),
-        "verdict": "valid" if verdict.violation is None else "rule %d: %s" % verdict.violation,
+        "verdict": verdict_text(verdict),
         "slots": verdict.slots,
     }
 

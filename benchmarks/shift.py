@@ -31,6 +31,7 @@ from benchmarks.harness.master import Master, need_ros
 from benchmarks.harness.processes import end_cleanly_on_signal
 from benchmarks.harness.team import launch_words
 from benchmarks.machine import describe_machine, machine_line
+from benchmarks.room_report import verdict_text
 from benchmarks.warehouse import LIBRARIES, START, ShopWatcher
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import EventLog, log_files, read_log
@@ -265,7 +266,7 @@ def measure(robots: int, minutes: float, factor: float, seed: int) -> Dict[str, 
         "stops": len(shift.moved),
         "most_moved_after_a_stop": max(shift.moved, default=0.0),
         "refused": shift.refused,
-        "verdict": "valid" if verdict.violation is None else "rule %d: %s" % verdict.violation,
+        "verdict": verdict_text(verdict),
         **{
             key: watcher.report.get(key)
             for key in (

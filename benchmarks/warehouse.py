@@ -24,6 +24,7 @@ from benchmarks.harness.master import Master, need_ros
 from benchmarks.harness.processes import end_cleanly_on_signal
 from benchmarks.harness.team import launch_words
 from benchmarks.machine import describe_machine, machine_line
+from benchmarks.room_report import verdict_text
 from gspn_framework_package.execution.event_log import EventLog, log_files, read_log
 from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.verifier import verify
@@ -187,7 +188,7 @@ def measure(robots: int, minutes: float, factor: float, seed: int) -> Dict[str, 
         ),
         "charged": watcher.fired["charged"],
         "slots": verdict.slots,
-        "verdict": "valid" if verdict.violation is None else "rule %d: %s" % verdict.violation,
+        "verdict": verdict_text(verdict),
         **{
             key: watcher.report.get(key)
             for key in (

@@ -3,6 +3,7 @@ good, and measures what that costs."""
 
 from __future__ import annotations
 
+import functools
 from typing import Any, Callable, Dict, Iterator, List, Mapping, NamedTuple, Optional
 
 from gspn_framework_package.analysis.analyse import Analysis
@@ -124,7 +125,12 @@ def deadlock_free(
     :raises InputError: they still can, or it is not known, with all groups that would help.
     """
     made = build({})
-    first = _decide(made, MarkingQuestion(CAN_MOVE), seconds, progress)
+    before = made.as_read()
+
+    def decide(plan: Plan, question: MarkingQuestion) -> Answer:
+        return decide_question(plan, question, seconds=seconds, progress=progress)
+
+    first = decide(before, MarkingQuestion(CAN_MOVE))
     if first.verdict == PROVEN:
         return FreePlan(made, first, {}, [first])
     circles = [
@@ -138,17 +144,13 @@ def deadlock_free(
     for capacities in [largest, [1] * len(circles)][: 1 if set(largest) <= {1} else 2]:
         groups = _groups(made, circles, capacities)
         changed = _built(build, groups) if groups else made
-        answers = _answers(changed, circles, seconds, progress, None if groups else first)
+        after = changed.as_read() if groups else before
+        moves = decide(after, MarkingQuestion(CAN_MOVE)) if groups else first
+        answers = _answers(changed, circles, moves, functools.partial(decide, after))
         if _are_free(answers):
-            cost = _cost(made.as_read(), changed.as_read(), progress) if groups else None
+            cost = _cost(before, after, progress) if groups else None
             return FreePlan(changed, first, groups, answers, cost)
     raise _what_remains(answers, groups)
-
-
-def _decide(
-    made: SitePlan, question: MarkingQuestion, seconds: float, progress: Optional[Progress]
-) -> Answer:
-    return decide_question(made.as_read(), question, seconds=seconds, progress=progress)
 
 
 def _groups(
@@ -188,20 +190,20 @@ def _built(
 def _answers(
     made: SitePlan,
     circles: List[WaitingCircle],
-    seconds: float,
-    progress: Optional[Progress],
-    moves: Optional[Answer],
+    moves: Answer,
+    decide: Callable[[MarkingQuestion], Answer],
 ) -> List[Answer]:
-    """Whether every robot can always move again; and where this is not decided, whether there is a
-    dead marking, and whether enough robots for a circle can rest where there could be one."""
-    found = [moves or _decide(made, MarkingQuestion(CAN_MOVE), seconds, progress)]
-    if found[0].verdict in (PROVEN, VIOLATED):
+    """Whether every robot can always move again (``moves``); and where this is not decided, whether
+    there is a dead marking, and whether enough robots for a circle can rest where there could be
+    one."""
+    found = [moves]
+    if moves.verdict in (PROVEN, VIOLATED):
         return found
-    found.append(_decide(made, MarkingQuestion(DEAD), seconds, progress))
+    found.append(decide(MarkingQuestion(DEAD)))
     for circle in circles:
         resting = ["'%s'" % place for node in circle.nodes for place in made.rests.get(node, ())]
         enough = "%s >= %d" % (" + ".join(resting), circle.robots)
-        found.append(_decide(made, MarkingQuestion(NEVER, enough, losses=True), seconds, progress))
+        found.append(decide(MarkingQuestion(NEVER, enough, losses=True)))
     return found
 
 

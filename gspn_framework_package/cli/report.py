@@ -74,6 +74,5 @@ def _print(story: RunStory, most: int) -> None:
     if story.moments:
         print("\nwhat happened%s" % (" last" if len(story.moments) > most else ""))
     for moment in story.moments[-most:]:
-        where = ", ".join(filter(None, (moment.robot or "the team", moment.place)))
-        kind = moment.kind.replace("_", " ")
-        print(("%s  %s, %s: %s" % (time_text(moment.at), kind, where, moment.detail)).rstrip(": "))
+        parts = (time_text(moment.at), moment.what, moment.where, moment.detail)
+        print(("%s  %s, %s: %s" % parts).rstrip(": "))

@@ -109,6 +109,16 @@ class Moment(NamedTuple):
     kind: str
     detail: str
 
+    @property
+    def what(self) -> str:
+        """The kind, in words."""
+        return self.kind.replace("_", " ")
+
+    @property
+    def where(self) -> str:
+        """The robot, or the team, and the place if there is one."""
+        return ", ".join(filter(None, (self.robot or "the team", self.place)))
+
 
 class _Open:
     """A stay in progress."""

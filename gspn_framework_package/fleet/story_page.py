@@ -15,7 +15,7 @@ from gspn_framework_package.fleet.run_story import (
     time_text,
     waited_for,
 )
-from gspn_framework_package.fleet.stay_follower import USES, Spell
+from gspn_framework_package.fleet.stay_follower import USE_FAILED, USE_PAUSED, USES, Spell
 
 SHOWN_WAITS, SHOWN_MOMENTS = 40, 400
 """Largest numbers of waits and moments in the file."""
@@ -26,7 +26,7 @@ _COLUMNS = 1200
 _LANE, _NAMES, _WIDTH = 22, 110, 1310
 """Height of a lane, width of the names, and width of the whole time line."""
 
-_ALWAYS = ("failed", "paused")
+_ALWAYS = (USE_FAILED, USE_PAUSED)
 """The uses of time that are drawn even if they are short."""
 
 _STYLE = """
@@ -230,8 +230,8 @@ def _moments(story: RunStory, link: str) -> Iterator[str]:
         [
             [
                 "<span class=when>%s</span>" % _when(moment.at, moment.slot, link),
-                moment.kind.replace("_", " "),
-                escape(", ".join(filter(None, (moment.robot or "the team", moment.place)))),
+                moment.what,
+                escape(moment.where),
                 escape(moment.detail),
             ]
             for moment in story.moments[-SHOWN_MOMENTS:]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 from typing import (
@@ -28,6 +29,7 @@ class Located(Protocol):
         """Return the error for an element."""
 
 
+@functools.lru_cache(maxsize=1)
 def tasks_schema() -> Dict[str, Any]:
     """The JSON Schema of the tasks."""
     with open(_SCHEMA, encoding="utf-8") as file:

@@ -36,6 +36,9 @@ MOST_PLAN_NODES = 50_000
 PLAN_ROS_FILE = "plan_ros.json"
 """File name of the same plan with the actions of the map and the tasks, for robots on ROS."""
 
+_DONE = {"Open": "Opened", "Close": "Closed"}
+"""What a robot does with a door -> the transition with which it has done it."""
+
 _UNLIMITED = " Nodes hold any number of robots (node_capacity limits it)."
 
 _ACTIONS = '''"""What the robots do where there is no ROS: their actions only take their time."""
@@ -386,19 +389,13 @@ class _Builder:
     def _go(self, a: str, b: str, suffix: str) -> None:
         before, after = self._held(a), self._held(a, b)
         first = named("Drive", a, b, suffix)
-        entered = self._doors("open", [free for free in after if free not in before])
+        entered = self._doors("Open", [free for free in after if free not in before])
         for number, (name, action) in enumerate(reversed(entered)):
-            place, lanes = named("Open", name, a, b, suffix), 2.5 + 0.8 * number
-            self._act(
-                place, action.seconds, action.action, 0, self._draw.along(a, b, suffix, 0.25, lanes)
-            )
-            self._given(place, after)
-            opened, at = (
-                place.replace("Open", "Opened", 1),
-                self._draw.along(a, b, suffix, 0.35, lanes),
-            )
-            self._ends(opened, 1 / action.seconds, place, [first], at)
-            first = place
+            along = [
+                self._draw.along(a, b, suffix, part, 2.5 + 0.8 * number) for part in (0.25, 0.35)
+            ]
+            self._door("Open", [name, a, b, suffix], action, after, [first], along)
+            first = named("Open", name, a, b, suffix)
         self._net.immediate(
             named("Go", a, b, suffix),
             inputs=[named("At", a, suffix), *(free for free in after if free not in before)],
@@ -406,13 +403,29 @@ class _Builder:
             position=self._draw.along(a, b, suffix, 0.25),
         )
 
+    def _door(
+        self,
+        word: str,
+        parts: Sequence[str],
+        action: DoorAction,
+        held: Sequence[str],
+        outputs: Sequence[str],
+        along: Sequence[Point],
+    ) -> None:
+        """Have a robot on an edge open a door, or close it: with the place and the transition
+        ``along`` the edge."""
+        place, done = named(word, *parts), named(_DONE[word], *parts)
+        self._act(place, action.seconds, action.action, 0, along[0])
+        self._given(place, held)
+        self._ends(done, 1 / action.seconds, place, outputs, along[1])
+
     def _doors(self, word: str, free: Sequence[str]) -> List[Tuple[str, DoorAction]]:
         """The doors among resources that robots open, or close."""
         return [
             (name, action)
             for name, door in self._tasks.doors.items()
             if "Free_door_" + name in free
-            for action in [door.open if word == "open" else door.close]
+            for action in [door.open if word == "Open" else door.close]
             if action is not None
         ]
 
@@ -424,21 +437,15 @@ class _Builder:
         there = self._held(b)
         returned = [free for free in self._held(a, b) if free not in there]
         first = [named("At", b, suffix)]
-        for number, (name, action) in enumerate(reversed(self._doors("close", returned))):
-            free, lanes = "Free_door_" + name, 2.5 + 0.8 * number
-            place = named("Close", name, a, b, suffix)
+        for number, (name, action) in enumerate(reversed(self._doors("Close", returned))):
+            free = "Free_door_" + name
             there.append(free)
             returned.remove(free)
-            self._act(
-                place, action.seconds, action.action, 0, self._draw.along(a, b, suffix, 0.78, lanes)
-            )
-            self._given(place, there)
-            closed, at = (
-                place.replace("Close", "Closed", 1),
-                self._draw.along(a, b, suffix, 0.88, lanes),
-            )
-            self._ends(closed, 1 / action.seconds, place, [*first, free], at)
-            first = [place]
+            along = [
+                self._draw.along(a, b, suffix, part, 2.5 + 0.8 * number) for part in (0.78, 0.88)
+            ]
+            self._door("Close", [name, a, b, suffix], action, there, [*first, free], along)
+            first = [named("Close", name, a, b, suffix)]
         self._arrivals[a, b, suffix] = [*first, *returned]
         return self._arrivals[a, b, suffix]
 

@@ -1,7 +1,8 @@
-"""The pose to which the goal of an action sends a robot."""
+"""Poses as ROS writes them: where the goal of an action sends a robot, and where it looks."""
 
 from __future__ import annotations
 
+import math
 from typing import Any, List, Mapping, NamedTuple, Optional
 
 
@@ -25,6 +26,11 @@ def goal_pose(goal: Any) -> Optional[GoalPose]:
         if position and orientation and isinstance(frame, str):
             return GoalPose(frame, position, orientation)
     return next(filter(None, map(goal_pose, goal.values())), None)
+
+
+def yaw_of(x: float, y: float, z: float, w: float) -> float:
+    """The rotation about the vertical axis of a unit quaternion (rad)."""
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 def _numbers(fields: Any, names: str) -> Optional[List[float]]:

@@ -12,6 +12,8 @@ import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 
+from gspn_framework_package.model.goal_pose import yaw_of
+
 POSES_PERIOD = 1 / 15
 """Seconds between two reports of all poses; the page draws what lies between."""
 
@@ -74,7 +76,8 @@ class RosPoses:
                 pose = message.pose.pose
                 at = pose.position
                 if all(map(math.isfinite, (at.x, at.y))):
-                    turned = _yaw(pose.orientation)
+                    q = pose.orientation
+                    turned = yaw_of(q.x, q.y, q.z, q.w)
                     where = round(at.x, 3), round(at.y, 3), round(turned, 3), _SOURCES[rank][0][1:]
                     with self._lock:
                         self._poses[namespace] = where
@@ -94,11 +97,6 @@ class RosPoses:
 
     def _on_map(self, message: Any) -> None:
         self._tell("map", map_to_json(message))
-
-
-def _yaw(q: Any) -> float:
-    """The rotation about the vertical axis of a quaternion (rad)."""
-    return math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
 
 
 def map_to_json(grid: Any) -> Dict[str, Any]:

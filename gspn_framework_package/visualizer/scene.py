@@ -41,7 +41,7 @@ def scene_to_json(net: Net, plan: Optional[Plan] = None) -> Dict[str, Any]:
                 "weight": written(t.weight),
                 "priority": t.priority,
                 "servers": t.servers,
-                "environment": plan is not None and _is_environment(net, plan, i),
+                "environment": plan is not None and is_environment(net, plan, i),
                 "event": _event(t.name, plan),
                 "breakable": plan is not None and not why_no_breakpoint(plan, t.name, "transition"),
                 "submits": plan is not None and t.name in plan.submissions,
@@ -87,7 +87,7 @@ def _kind(place: str, plan: Optional[Plan]) -> str:
     return "resource" if place in plan.resource_places else "action"
 
 
-def _is_environment(net: Net, plan: Plan, t: int) -> bool:
+def is_environment(net: Net, plan: Plan, t: int) -> bool:
     """Whether the environment, or the operator on its behalf, may fire transition ``t``: it takes
     no robot."""
     return all(net.places[p].name in plan.resource_places for p, _ in net.inputs[t])

@@ -25,6 +25,7 @@ from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer.activity import RequestFields, whole_field
 from gspn_framework_package.visualizer.analysis_jobs import ALL_TRANSITIONS
+from gspn_framework_package.visualizer.scene import is_environment
 
 FIRST_LOOK = 0.1
 """Seconds of computing that a first look may take."""
@@ -102,10 +103,7 @@ def adjustable(plan: Plan) -> Dict[str, Any]:
         for i, t in enumerate(net.transitions)
         if t.timed
         and isinstance(t.rate, (int, float))
-        and (
-            t.name in plan.events
-            or all(net.places[p].name in plan.resource_places for p, _ in net.inputs[i])
-        )
+        and (t.name in plan.events or is_environment(net, plan, i))
     }
     return {"robots": len(plan.robots), "places": action_means(plan), "rates": rates}
 

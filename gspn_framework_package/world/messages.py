@@ -19,6 +19,7 @@ from geometry_msgs.msg import (
 from nav_msgs.msg import OccupancyGrid, Odometry, Path
 from sensor_msgs.msg import Imu, JointState, LaserScan, Temperature
 
+from gspn_framework_package.model.goal_pose import yaw_of
 from gspn_framework_package.model.net import Point
 from gspn_framework_package.world.grid import RESOLUTION, Grid
 from gspn_framework_package.world.room import Pose, RobotType
@@ -62,8 +63,7 @@ def pose_from(message: PoseMessage) -> Pose:
         raise ValueError("the pose has numbers that are not finite")
     if q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w < 1e-6:
         raise ValueError("the orientation is not a quaternion: its length is 0")
-    yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
-    return Pose(message.position.x, message.position.y, yaw)
+    return Pose(message.position.x, message.position.y, yaw_of(q.x, q.y, q.z, q.w))
 
 
 def stamped_pose(pose: Pose, stamp: rospy.Time, frame: str) -> PoseWithCovarianceStamped:

@@ -15,6 +15,7 @@ from typing import Any, Dict, List, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
+from gspn_framework_package.model.goal_pose import yaw_of
 from gspn_framework_package.model.net import Point
 from gspn_framework_package.model.robot_colours import colour_of
 from gspn_framework_package.world.bodies import (
@@ -351,9 +352,7 @@ class Physics:
             position, orientation = self._client.multiplyTransforms(
                 position, orientation, *body.inertial
             )
-        x, y, z, w = orientation
-        yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-        return Pose(position[0], position[1], yaw)
+        return Pose(position[0], position[1], yaw_of(*orientation))
 
     def velocity(self, robot: str) -> Tuple[float, float, float]:
         """The true velocity: metres per second east and north, and turn rate in radians per

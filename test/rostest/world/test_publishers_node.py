@@ -8,7 +8,6 @@ import subprocess
 import sys
 import tempfile
 import threading
-import time
 import unittest
 
 import rospy
@@ -18,11 +17,16 @@ from PIL import ImageGrab, features
 from sensor_msgs.msg import JointState
 from tf2_msgs.msg import TFMessage
 
+HERE = os.path.dirname(os.path.abspath(__file__))
+sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
+
+from waiting import wait_for
+
 SCAN = (255, 0, 0)
 """The colour of the scan in cart.rviz."""
 
-DEADLINE = 60.0 * float(os.environ.get("GSPN_PATIENCE", "1"))
-"""Seconds of wall time; far more than any test here needs."""
+DEADLINE = 60.0
+"""Seconds of wall time on an idle machine; far more than any test here needs."""
 
 
 class Frames:
@@ -47,18 +51,6 @@ class Frames:
             return dict(self.parents)
 
 
-def wait(condition, what):
-    """Wait until a condition holds; return what it returned."""
-    end = time.monotonic() + DEADLINE
-    while True:
-        found = condition()
-        if found:
-            return found
-        if time.monotonic() > end:
-            raise AssertionError("not in time: %s" % what)
-        time.sleep(0.05)
-
-
 class TestPublishers(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
@@ -76,10 +68,12 @@ class TestPublishers(unittest.TestCase):
             "wheel_right_link": "robot_1/base_link",
         }
         wanted = {"robot_1/" + child: {parent} for child, parent in expected.items()}
-        wait(lambda: set(self.frames.now()) >= set(wanted), "all frames")
+        wait_for(lambda: set(self.frames.now()) >= set(wanted), DEADLINE, "all frames")
         joints = []
         rospy.Subscriber("/robot_1/all/joint_states", JointState, joints.append)
-        wait(lambda: joints and len(joints[-1].name) == 3, "the joints of mast and wheels")
+        wait_for(
+            lambda: joints and len(joints[-1].name) == 3, DEADLINE, "the joints of mast and wheels"
+        )
         before = self.frames.turned["robot_1/wheel_left_link"]
         hand = rospy.Publisher("/robot_1/cmd_vel", Twist, queue_size=1)
         twist = Twist()
@@ -92,7 +86,7 @@ class TestPublishers(unittest.TestCase):
                 abs(now.x * before.x + now.y * before.y + now.z * before.z + now.w * before.w) < 0.5
             )
 
-        wait(turns, "a wheel that turns")
+        wait_for(turns, DEADLINE, "a wheel that turns")
         self.assertEqual(self.frames.now(), wanted)
 
     def test_2_rviz_shows_the_robot_and_its_scan(self):
@@ -108,9 +102,8 @@ class TestPublishers(unittest.TestCase):
             os.close(writing)
             with os.fdopen(reading) as told:
                 display = ":" + told.readline().strip()
-            folder = os.path.dirname(os.path.abspath(__file__))
             rviz = self.start(
-                ["rviz", "-d", os.path.join(folder, "cart.rviz")],
+                ["rviz", "-d", os.path.join(HERE, "cart.rviz")],
                 said,
                 env={**os.environ, "DISPLAY": display},
             )
@@ -122,7 +115,7 @@ class TestPublishers(unittest.TestCase):
                 body = sum(r < 60 and g > 90 and b < 60 for r, g, b in pixels)
                 return body > 300 and pixels.count(SCAN) > 300
 
-            wait(shown, "the picture of the robot and its scan")
+            wait_for(shown, DEADLINE, "the picture of the robot and its scan")
 
     def start(self, words, said, **options):
         """Start a program, which ends with the test."""
