@@ -1,4 +1,5 @@
-"""The layout of a net: the positions of its nodes and the routes of its arcs.
+"""The layout of a net: the positions of its nodes, the same in every mode of the page, which draws
+the arcs between them.
 
 Positions in the file are used if it has any; nodes without one are put below the others. Otherwise,
 Graphviz lays the net out: ``dot`` in layers, with a deadline; ``sfdp`` if that takes too long. If
@@ -16,7 +17,7 @@ import hashlib
 import json
 import math
 import subprocess
-from typing import Dict, List, Mapping, NamedTuple, Optional, Tuple, Union
+from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Tuple, Union
 
 from gspn_framework_package.model.kept import Kept
 from gspn_framework_package.model.net import Arc, Net, Place, Point, Transition
@@ -50,20 +51,20 @@ and its layout is used if its zoom is more than :data:`MUCH_LARGER` times as lar
 
 MUCH_LARGER = 1.5
 
-ROUTED_NODES = 400
-"""In nets of up to this many nodes, arcs are routed around nodes; in larger ones they are
-straight."""
+SPACE = (110.0, 80.0)
+"""Distances of neighbours side by side, and one below the other, in a layout by ``sfdp``."""
+
+MOST_PUSHES = 60
+"""How often nodes that are nearer than :data:`SPACE` are pushed apart."""
 
 _KEPT = 32
 
 
 class Layout(NamedTuple):
-    """``positions``: node name -> centre. ``routes``: arc number -> control points of its Bezier
-    curves from centre to centre (1 + 3k points); arcs without a route are straight. ``engine``:
-    the origin of the layout (a Graphviz engine, ``file``, ``grid`` or ``empty``)."""
+    """``positions``: node name -> centre. ``engine``: the origin of the layout (a Graphviz engine,
+    ``file``, ``grid`` or ``empty``)."""
 
     positions: Dict[str, Point]
-    routes: Dict[int, List[Point]]
     engine: str
 
 
@@ -117,11 +118,9 @@ class _Parts:
 
     def lay_out(self, anew: bool, deadline: float) -> Layout:
         positions: Dict[str, Point] = {}
-        routes: Dict[int, List[Point]] = {}
         engine = ""
         for name in ["", *sorted(self._subnets, key=self._depth)]:
-            part, arcs = self._part(name)
-            layout = lay_out(part, anew=anew, deadline=deadline)
+            layout = lay_out(self._part(name), anew=anew, deadline=deadline)
             right = down = 0.0
             if name:  # known as the node of the subnet in the surrounding plan
                 entry = self._subnets[name].entry
@@ -132,14 +131,10 @@ class _Parts:
             for node, (x, y) in layout.positions.items():
                 found = self._subnets[node].entry if node in self._subnets else node
                 positions[found] = (x + right, y + down)
-            for number, curve in layout.routes.items():
-                moved = [(x + right, y + down) for x, y in curve]
-                routes.update((a, moved) for a in arcs[number])
-        return Layout(positions, routes, engine)
+        return Layout(positions, engine)
 
-    def _part(self, part: str) -> Tuple[Net, List[List[int]]]:
-        """The net of one drawing, and for each of its arcs the corresponding arcs of the whole
-        net."""
+    def _part(self, part: str) -> Net:
+        """The net of one drawing."""
         places: Dict[str, Place] = {}
         for place in self._net.places:
             node = self._node(place.name, part)
@@ -153,19 +148,12 @@ class _Parts:
             if self._owner.get(t.name, "") == part
         ]
         inside = {*places, *(t.name for t in transitions)}
-        arcs: Dict[Tuple[str, str, bool], List[int]] = {}
-        for a, arc in enumerate(self._net.arcs):
+        arcs: Dict[Arc, None] = {}  # without repetition, in their order
+        for arc in self._net.arcs:
             source, target = self._node(arc.source, part), self._node(arc.target, part)
             if source in inside and target in inside and (source in places) != (target in places):
-                arcs.setdefault((str(source), str(target), arc.inhibitor), []).append(a)
-        return (
-            Net(
-                list(places.values()),
-                transitions,
-                [Arc(source, target, 1, inhibitor) for source, target, inhibitor in arcs],
-            ),
-            list(arcs.values()),
-        )
+                arcs[Arc(str(source), str(target), 1, arc.inhibitor)] = None
+        return Net(list(places.values()), transitions, list(arcs))
 
     def _node(self, name: str, part: str) -> Optional[str]:
         """The name under which a drawing shows a node of the net: its own, or that of the folded
@@ -179,28 +167,25 @@ class _Parts:
 
 
 def _compute(net: Net, anew: bool, deadline: float) -> Layout:
-    nodes = len(net.places) + len(net.transitions)
-    if nodes == 0:
-        return Layout({}, {}, "empty")
-    given = None if anew else _positions_of_file(net)
+    nodes: List[Union[Place, Transition]] = [*net.places, *net.transitions]
+    if not nodes:
+        return Layout({}, "empty")
+    given = None if anew else drawn({node.name: node.position for node in nodes})
     if given is not None:
-        routes: Dict[int, List[Point]] = {}
-        if nodes <= ROUTED_NODES:
-            routed = _graphviz(net, "neato", deadline / 4, given)
-            routes = routed.routes if routed is not None else {}
-        return Layout(given, routes, "file")
+        scale = scale_of(given.values())
+        return Layout({name: (x * scale, y * scale) for name, (x, y) in given.items()}, "file")
     if not net.arcs:  # Graphviz would put all nodes in one line
-        return Layout(_grid(net), {}, "grid")
+        return Layout(_grid(net), "grid")
     best: Optional[Layout] = None
     for engine in ("dot", "sfdp"):
         layout = None
-        if engine != "dot" or nodes <= DOT_NODES:
+        if engine != "dot" or len(nodes) <= DOT_NODES:
             layout = _graphviz(net, engine, deadline)
         if layout is not None and (best is None or _zoom(layout) > MUCH_LARGER * _zoom(best)):
             best = layout
         if best is not None and _zoom(best) >= LEGIBLE:
             break
-    return best or Layout(_grid(net), {}, "grid")
+    return best or Layout(_grid(net), "grid")
 
 
 def _zoom(layout: Layout) -> float:
@@ -214,20 +199,24 @@ def _names(net: Net) -> List[str]:
     return [p.name for p in net.places] + [t.name for t in net.transitions]
 
 
-def _positions_of_file(net: Net) -> Optional[Dict[str, Point]]:
-    """The positions of the file, scaled to the symbols; None if there are none, or if some
-    coincide."""
-    nodes: List[Union[Place, Transition]] = [*net.places, *net.transitions]
-    points = {node.name: node.position for node in nodes if node.position is not None}
-    if not points or len(points) == 1 < len(nodes):
+def drawn(nodes: Mapping[str, Optional[Point]]) -> Optional[Dict[str, Point]]:
+    """The positions that a person gave the nodes, and for those without one a place below the
+    others. None if nobody drew them: no node has a position, or all have the same.
+
+    :param nodes: name -> position in the file.
+    """
+    known = {name: point for name, point in nodes.items() if point is not None}
+    if not known or (len(set(known.values())) == 1 < len(nodes)):
         return None
-    missing = [node.name for node in nodes if node.name not in points]
-    points.update(below([*points.values()], missing))
-    nearest = nearest_distance(list(points.values()))
-    if nearest < 1.0:
-        return None
-    scale = min(max(0.3, NEAREST / nearest), 8.0)
-    return {name: (x * scale, y * scale) for name, (x, y) in points.items()}
+    missing = [name for name in nodes if name not in known]
+    return {**known, **below([*known.values()], missing)}
+
+
+def scale_of(points: Iterable[Point]) -> float:
+    """The factor by which the page enlarges a drawing so that the symbols of the two nearest spots
+    do not touch."""
+    nearest = nearest_distance([*{*points}])
+    return min(max(0.3, NEAREST / nearest), 8.0) if 1e-6 < nearest < math.inf else 1.0
 
 
 def below(known: List[Point], missing: List[str]) -> Dict[str, Point]:
@@ -261,18 +250,14 @@ def label_width(name: str) -> float:
     return min(len(name), LABEL_CHARACTERS) * CHARACTER_WIDTH
 
 
-def _graphviz(
-    net: Net, engine: str, deadline: float, fixed: Optional[Dict[str, Point]] = None
-) -> Optional[Layout]:
+def _graphviz(net: Net, engine: str, deadline: float) -> Optional[Layout]:
     """The layout by Graphviz, or None if it fails or takes longer than ``deadline`` seconds."""
     names = _names(net)
     number = {name: i for i, name in enumerate(names)}
-    routed = engine == "dot" and len(names) <= ROUTED_NODES or fixed is not None
-    command = [engine, "-Tplain", "-y"] + (["-n2"] if fixed is not None else [])
     try:
         done = subprocess.run(
-            command,
-            input=_dot_text(net, number, engine, routed, fixed).encode(),
+            [engine, "-Tplain", "-y"],
+            input=_dot_text(net, number, engine).encode(),
             capture_output=True,
             timeout=deadline,
             check=False,
@@ -282,64 +267,57 @@ def _graphviz(
     if done.returncode != 0:
         return None
     positions: Dict[str, Point] = {}
-    routes: Dict[int, List[Point]] = {}
-    edges: Dict[Tuple[int, int], List[List[Point]]] = {}
     for line in done.stdout.decode().splitlines():
         words = line.split()
         if words[:1] == ["node"]:
             positions[names[int(words[1])]] = (float(words[2]) * 72, float(words[3]) * 72)
-        elif words[:1] == ["edge"]:
-            count = int(words[3])
-            numbers = [float(w) * 72 for w in words[4 : 4 + 2 * count]]
-            curve = list(zip(numbers[::2], numbers[1::2]))
-            edges.setdefault((int(words[1]), int(words[2])), []).append(curve)
     if len(positions) != len(names):
         return None
-    if routed:
-        shift_x = shift_y = 0.0
-        if fixed is not None:  # -n2 keeps distances, but not the origin
-            first = names[0]
-            shift_x = fixed[first][0] - positions[first][0]
-            shift_y = fixed[first][1] - positions[first][1]
-        for a, arc in enumerate(net.arcs):
-            found = edges.get((number[arc.source], number[arc.target]))
-            if found:
-                curve = found.pop(0)
-                routes[a] = [(x + shift_x, y + shift_y) for x, y in curve]
-    return Layout(positions, routes, engine)
+    return Layout(_pushed_apart(positions) if engine == "sfdp" else positions, engine)
 
 
-def _dot_text(
-    net: Net,
-    number: Dict[str, int],
-    engine: str,
-    routed: bool,
-    fixed: Optional[Dict[str, Point]],
-) -> str:
+def _dot_text(net: Net, number: Dict[str, int], engine: str) -> str:
     """The net in DOT, with numbers for names, so that nothing needs quoting."""
-    lines = ["digraph {"]
     if engine == "dot":
-        lines.append("rankdir=LR nodesep=0.28 ranksep=0.5 nslimit=6 mclimit=0.6;")
-        lines.append("splines=%s;" % ("true" if routed else "false"))
-    elif engine == "neato":
-        lines.append("splines=true esep=0.05;")
-    else:
-        lines.append("K=0.9 overlap=prism overlap_scaling=4 splines=false;")
-    lines.append('node [shape=box fixedsize=true label=""];')
-    lines.append("edge [headclip=false tailclip=false dir=none];")
+        settings = "rankdir=LR nodesep=0.28 ranksep=0.5 nslimit=6 mclimit=0.6 splines=false;"
+    else:  # a force that fades with the distance lets long chains curl, where a ring has no end
+        settings = "K=0.9 repulsiveforce=3 quadtree=fast overlap=true splines=false;"
+    lines = ["digraph {", settings, 'node [shape=box fixedsize=true label=""];']
+    size = 2 * PLACE_RADIUS + 4
     for name in number:
-        size = 2 * PLACE_RADIUS + 4
-        if fixed is not None:
-            x, y = fixed[name]
-            shape = 'width=0.58 height=0.58 pos="%f,%f"' % (x, -y)
-        else:
-            width = max(size, label_width(name) + 8)
-            shape = "width=%.3f height=%.3f" % (width / 72, (size + 2 * LABEL_HEIGHT) / 72)
+        width = max(size, label_width(name) + 8)
+        shape = "width=%.3f height=%.3f" % (width / 72, (size + 2 * LABEL_HEIGHT) / 72)
         lines.append("%d [%s];" % (number[name], shape))
     for arc in net.arcs:
         lines.append("%d -> %d;" % (number[arc.source], number[arc.target]))
     lines.append("}")
     return "\n".join(lines)
+
+
+def _pushed_apart(positions: Dict[str, Point]) -> Dict[str, Point]:
+    """The positions with :data:`SPACE` between neighbours; Graphviz itself takes four times as long
+    for that as for the layout of a large net."""
+    import numpy as np
+    from scipy.spatial import cKDTree
+
+    space = np.array(SPACE)
+    points = np.array(list(positions.values())) / space
+    if len(points) > 1:
+        apart = cKDTree(points).query(points, 2)[0][:, 1]
+        points /= max(float(np.quantile(apart, 0.3)), 1e-9)
+        points += np.random.default_rng(0).normal(0, 1e-3, points.shape)  # none on another
+    for _ in range(MOST_PUSHES):
+        pairs = cKDTree(points).query_pairs(1.0, output_type="ndarray")
+        if not len(pairs):
+            break
+        first, second = pairs.T
+        way = points[first] - points[second]
+        length = np.hypot(*way.T)
+        push = way * (0.35 * (1.02 - length) / length)[:, None]
+        np.add.at(points, first, push)
+        np.add.at(points, second, -push)
+    points *= space
+    return {name: (float(x), float(y)) for name, (x, y) in zip(positions, points)}
 
 
 def _grid(net: Net) -> Dict[str, Point]:

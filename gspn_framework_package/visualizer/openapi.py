@@ -167,7 +167,6 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
             "engine?": described_as(TEXT, "of layout: what computed it"),
             "places?": described_as({"type": "array", "items": POINT}, "of layout: positions"),
             "transitions?": described_as({"type": "array", "items": POINT}, "of layout: positions"),
-            "routes?": described_as(OBJECT, "of layout: the courses of arcs"),
         },
     ),
     ("GET", "/api/state"): ApiOperation(

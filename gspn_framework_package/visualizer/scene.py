@@ -56,15 +56,11 @@ def scene_to_json(net: Net, plan: Optional[Plan] = None) -> Dict[str, Any]:
 
 
 def layout_to_json(net: Net, layout: Layout) -> Dict[str, Any]:
-    """The layout: centres in the order of places and transitions, and routes by arc."""
+    """The layout: centres in the order of places and transitions."""
     return {
         "engine": layout.engine,
         "places": [_rounded(layout.positions[p.name]) for p in net.places],
         "transitions": [_rounded(layout.positions[t.name]) for t in net.transitions],
-        "routes": {
-            str(a): [round(v, 1) for point in curve for v in point]
-            for a, curve in layout.routes.items()
-        },
     }
 
 

@@ -515,3 +515,74 @@ def test_functions_that_are_written_meanwhile_are_offered(edit, tmp_path):
     page.wait_for_selector("#ed-properties")
     (tmp_path / "plans" / "one" / "actions.py").write_text("def sweep(is_cancelled):\n    pass\n")
     page.wait_for_selector("#ed-right option:has-text('actions.sweep')", state="attached")
+
+
+# T stands between S and B, far from its own places; R1 and R2 stand in the way of two arcs
+ROW = {
+    "places": [
+        {"name": "A", "position": [0, 0]},
+        {"name": "R1", "position": [200, 0]},
+        {"name": "R2", "position": [300, 0]},
+        {"name": "B", "position": [500, 0]},
+    ],
+    "transitions": [
+        {"name": "T", "position": [100, 0], "timed": True},
+        {"name": "back", "position": [400, 0], "timed": True},
+        {"name": "up", "position": [250, 140], "timed": False},
+    ],
+    "arcs": [
+        {"from": "A", "to": "T"},
+        {"from": "T", "to": "B", "weight": 2},
+        {"from": "B", "to": "back"},
+        {"from": "back", "to": "A"},
+        {"from": "R1", "to": "up"},
+        {"from": "up", "to": "R1"},
+        {"from": "R2", "to": "up", "inhibitor": True},
+    ],
+}
+LINES = """(net) => [...document.querySelectorAll(`${net} .arcs .lines:not(.near)`)].flatMap((path) =>
+  path.getAttribute("d").split(/(?=M)/)).filter(Boolean).sort()"""
+THROUGH = """() => {
+  const { nodes, arcs } = window.gspn.edit.canvas;
+  const through = [];
+  for (const arc of arcs.all) {
+    const length = arc.line.getTotalLength();
+    for (let s = 0; s <= length; s += 2) {
+      const { x, y } = arc.line.getPointAtLength(s);
+      for (const node of nodes)
+        if (node !== arc.from && node !== arc.to && Math.hypot(node.x - x, node.y - y) < 20)
+          through.push(`${arc.key} through ${node.name}`);
+    }
+  }
+  return [...new Set(through)];
+}"""
+
+
+def test_arcs_avoid_nodes_and_are_drawn_alike_in_all_modes(edit, picture, tmp_path):
+    page = edit({"row": {"plan": "row", "net": ROW, "actions": {}}}, "row")
+    assert page.evaluate(THROUGH) == []
+    drawn = page.evaluate(LINES, "#ed-net")
+    assert len(drawn) == len(ROW["arcs"])
+    picture(page, "arcs-around-nodes")
+    page.click("#ed-export")
+    page.select_option("#ed-export-format", "svg")
+    with page.expect_download() as file:
+        page.click("#dialog .primary")
+    file.value.save_as(tmp_path / "row.svg")
+    saved = (tmp_path / "row.svg").read_text()
+    assert all('d="%s"' % line in saved for line in drawn)
+    # a node that comes into the way of an arc, and goes again
+    page.evaluate("""() => { const { canvas, actions } = window.gspn.edit;
+        const [x, y] = canvas.arcsByKey.get("arc:T>B")[0].shape.middle;
+        actions.add("place", x, y); }""")
+    page.wait_for_function("() => !window.gspn.edit.canvas.frame")
+    assert len(net(page)["places"]) == 5 and page.evaluate(THROUGH) == []
+    assert page.evaluate(LINES, "#ed-net") != drawn
+    page.click("#ed-undo")
+    page.wait_for_function("() => !window.gspn.edit.canvas.frame")
+    assert page.evaluate(LINES, "#ed-net") == drawn
+    # the board draws them so, too
+    page.click("#ed-close")
+    page.wait_for_selector("body[data-mode=SIMULATE][data-ready]")
+    assert page.evaluate(LINES, "#net") == drawn
+    picture(page, "arcs-around-nodes-simulated")

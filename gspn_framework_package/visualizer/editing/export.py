@@ -1,4 +1,5 @@
-"""Exports: the plan folder as a zip archive, its net in any supported format, or a picture."""
+"""Exports: the plan folder as a zip archive, or its net in any supported format. Pictures are made
+by the page, as the net is drawn."""
 
 from __future__ import annotations
 
@@ -7,15 +8,11 @@ import re
 import zipfile
 from typing import Dict, List, NamedTuple
 
-from gspn_framework_package.formats.dot import net_graph, render
 from gspn_framework_package.formats.net_json import net_from_json
 from gspn_framework_package.formats.registry import FORMATS, encode_net
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.visualizer.editing.plan_repository import PlanRepository
 from gspn_framework_package.visualizer.editing.saving import document_in
-
-PICTURE_TIME = 30.0
-"""Longest time for a picture, in seconds."""
 
 
 class Export(NamedTuple):
@@ -30,11 +27,11 @@ class Export(NamedTuple):
 def exported(repository: PlanRepository, path: str, document: object, format: object) -> Export:
     """Export a document as it is in the browser, saved or not.
 
-    :param format: ``zip``, ``svg``, or the name of a net format.
+    :param format: ``zip``, or the name of a net format.
     :raises GspnError: it cannot be written in that format.
     """
     new = document_in(document)
-    known = ["zip", "svg", *FORMATS]
+    known = ["zip", *FORMATS]
     if not isinstance(format, str) or format not in known:
         raise UsageError("there is no such format", hint="the formats are %s" % ", ".join(known))
     name = re.sub(r"[^A-Za-z0-9_.+-]", "_", str(new["plan"].get("plan") or "plan"))[:80]
@@ -42,9 +39,6 @@ def exported(repository: PlanRepository, path: str, document: object, format: ob
         contents = repository.everything_of(path, document)
         return Export(name + ".zip", "application/zip", _zipped(name, contents), [])
     net = net_from_json(new["net"])
-    if format == "svg":
-        data = render(net_graph(net).text(), "svg", PICTURE_TIME)
-        return Export(name + ".svg", "image/svg+xml", data, [])
     data, losses = encode_net(net, FORMATS[format])
     ending = FORMATS[format].extensions[0]
     return Export(name + ending, "application/octet-stream", data, losses)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 import os
 from typing import Callable, Dict, List, NamedTuple, Optional, Tuple
 
@@ -11,9 +10,8 @@ from gspn_framework_package.formats.net_json import net_from_json
 from gspn_framework_package.formats.plan_parts import JsonObject, PlanParts, read_parts
 from gspn_framework_package.formats.source import read_bytes
 from gspn_framework_package.model.errors import InputError, RefusedError
-from gspn_framework_package.model.net import Point
 from gspn_framework_package.visualizer.documents import Folder, check_size
-from gspn_framework_package.visualizer.layout import NEAREST, below, lay_out, nearest_distance
+from gspn_framework_package.visualizer.layout import drawn, lay_out, scale_of
 
 TRIES = 5
 """Number of attempts to read files that change meanwhile."""
@@ -74,7 +72,9 @@ def _opened(name: str, parts: PlanParts, etag: str) -> Opened:
     check_size(nodes, len(parts.net["arcs"]), name)
     net, laid_out = with_positions(parts.net)
     document = {"plan": parts.plan, "net": net, "policy": parts.policy}
-    return Opened(name, parts, document, etag, laid_out, scale_of(net))
+    spots = [tuple(node["position"]) for node in (*net["places"], *net["transitions"])]
+    scale = 1.0 if laid_out else scale_of(spots)
+    return Opened(name, parts, document, etag, laid_out, scale)
 
 
 def etag_of(folder: Folder, files: List[str]) -> str:
@@ -90,27 +90,20 @@ def etag_of(folder: Folder, files: List[str]) -> str:
 def with_positions(net: JsonObject) -> Tuple[JsonObject, bool]:
     """The net with a position for each node, and whether all positions come from a layout.
 
-    Positions of the file are kept as they are. If it has some, the nodes without one are put below
-    the others; if it has none, or has all nodes in one spot, the net is laid out.
+    Positions of the file are kept as they are.
     """
     nodes = [*net["places"], *net["transitions"]]
-    known = {n["name"]: n["position"] for n in nodes if n.get("position") is not None}
-    spots = {tuple(point) for point in known.values()}
-    if nodes and (not known or len(spots) == 1 < len(nodes)):
-        return _placed(net, lay_out(net_from_json(net)).positions, True), True
-    missing = [n["name"] for n in nodes if n["name"] not in known]
-    found = [(float(x), float(y)) for x, y in known.values()]
-    return _placed(net, below(found, missing), False), False
+    given = drawn({n["name"]: tuple(n["position"]) if n.get("position") else None for n in nodes})
+    laid_out = given is None and bool(nodes)
+    positions = lay_out(net_from_json(net)).positions if given is None else given
 
-
-def _placed(net: JsonObject, positions: Dict[str, Point], anew: bool) -> JsonObject:
     def placed(node: JsonObject) -> JsonObject:
-        if node["name"] not in positions or (node.get("position") is not None and not anew):
+        if node.get("position") is not None and not laid_out:
             return node
         x, y = positions[node["name"]]
         return {**node, "position": [round(x, 1), round(y, 1)]}
 
-    return with_nodes(net, placed)
+    return with_nodes(net, placed), laid_out
 
 
 def with_nodes(net: JsonObject, change: Callable[[JsonObject], JsonObject]) -> JsonObject:
@@ -119,12 +112,3 @@ def with_nodes(net: JsonObject, change: Callable[[JsonObject], JsonObject]) -> J
         **net,
         **{key: [change(node) for node in net[key]] for key in ("places", "transitions")},
     }
-
-
-def scale_of(net: JsonObject) -> float:
-    """The factor by which the page enlarges the net so that the two nearest nodes do not touch."""
-    nodes = [*net["places"], *net["transitions"]]
-    nearest = nearest_distance([(float(n["position"][0]), float(n["position"][1])) for n in nodes])
-    if not 1e-6 < nearest < math.inf:
-        return 1.0
-    return min(max(0.3, NEAREST / nearest), 8.0)

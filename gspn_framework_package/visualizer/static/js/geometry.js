@@ -15,162 +15,40 @@ function reach(node, dx, dy) {
   );
 }
 
-const inside = (node, x, y) => {
-  const dx = Math.abs(x - node.x),
-    dy = Math.abs(y - node.y);
-  if (node.kind === "place") return dx * dx + dy * dy < RADIUS * RADIUS;
-  const [w, h] = BAR[node.kind];
-  return dx < w && dy < h;
-};
-
-function cubicAt(c, t) {
-  const u = 1 - t;
-  const a = u * u * u,
-    b = 3 * u * u * t,
-    d = 3 * u * t * t,
-    e = t * t * t;
-  return [a * c[0] + b * c[2] + d * c[4] + e * c[6], a * c[1] + b * c[3] + d * c[5] + e * c[7]];
-}
-
-/** The part of a cubic from t0 to t1. */
-function cubicPart(c, t0, t1) {
-  const at = (t) => cubicAt(c, t);
-  const slope = (t) => {
-    const u = 1 - t;
-    return [0, 1].map(
-      (i) =>
-        3 *
-        (u * u * (c[2 + i] - c[i]) +
-          2 * u * t * (c[4 + i] - c[2 + i]) +
-          t * t * (c[6 + i] - c[4 + i])),
-    );
-  };
-  const [p, q, dp, dq] = [at(t0), at(t1), slope(t0), slope(t1)];
-  const k = (t1 - t0) / 3;
-  return [
-    p[0],
-    p[1],
-    p[0] + dp[0] * k,
-    p[1] + dp[1] * k,
-    q[0] - dq[0] * k,
-    q[1] - dq[1] * k,
-    q[0],
-    q[1],
-  ];
-}
-
-const STEPS = 40;
-
-/** The point where a chain of cubics leaves the symbol `node` (from the front) or enters it (from the back). */
-function crossing(cubics, node, fromBack) {
-  for (let i = 0; i < cubics.length; i++) {
-    const index = fromBack ? cubics.length - 1 - i : i;
-    for (let step = 0; step <= STEPS; step++) {
-      const t = fromBack ? 1 - step / STEPS : step / STEPS;
-      const [x, y] = cubicAt(cubics[index], t);
-      if (!inside(node, x, y)) {
-        let low = fromBack ? Math.min(1, t + 1 / STEPS) : Math.max(0, t - 1 / STEPS);
-        let high = t;
-        for (let k = 0; k < 8; k++) {
-          const middle = (low + high) / 2;
-          if (inside(node, ...cubicAt(cubics[index], middle))) low = middle;
-          else high = middle;
-        }
-        return [index, high];
-      }
-    }
-  }
-  return null;
-}
-
 const r = (value) => Math.round(value * 10) / 10;
 
-/** The shape of one arc. `route`: control points from centre to centre (flat list), or null for a straight or bent
- * line. Returns {start, body, tip, direction, middle, points}: points are [x, y]; body(x, y) is the SVG path text from
- * the start to (x, y), direction the unit vector at the tip, points a sample of the line. */
-export function arcShape(from, to, route, bend) {
-  if (route && route.length >= 8) {
-    const shape = routed(from, to, route);
-    if (shape) return shape;
-  }
-  const dx = to.x - from.x,
-    dy = to.y - from.y;
-  const length = Math.hypot(dx, dy) || 1;
-  const [ux, uy] = [dx / length, dy / length];
-  if (!bend) {
-    const a = reach(from, dx, dy),
-      b = reach(to, dx, dy) + 1;
-    const x1 = from.x + ux * a,
-      y1 = from.y + uy * a,
-      x2 = to.x - ux * b,
-      y2 = to.y - uy * b;
-    return {
-      start: [r(x1), r(y1)],
-      body: (bx, by) => `L${r(bx)} ${r(by)}`,
-      tip: [x2, y2],
-      direction: [ux, uy],
-      middle: [(x1 + x2) / 2, (y1 + y2) / 2],
-      points: [
-        [x1, y1],
-        [x2, y2],
-      ],
-    };
-  }
-  const mx = (from.x + to.x) / 2 - uy * bend,
-    my = (from.y + to.y) / 2 + ux * bend;
-  const a = reach(from, mx - from.x, my - from.y),
-    b = reach(to, to.x - mx, to.y - my) + 1;
-  const la = Math.hypot(mx - from.x, my - from.y) || 1,
-    lb = Math.hypot(to.x - mx, to.y - my) || 1;
-  const x1 = from.x + ((mx - from.x) / la) * a,
-    y1 = from.y + ((my - from.y) / la) * a;
-  const [vx, vy] = [(to.x - mx) / lb, (to.y - my) / lb];
-  const x2 = to.x - vx * b,
-    y2 = to.y - vy * b;
-  return {
-    start: [r(x1), r(y1)],
-    body: (bx, by) => `Q${r(mx)} ${r(my)} ${r(bx)} ${r(by)}`,
-    tip: [x2, y2],
-    direction: [vx, vy],
-    middle: [(x1 + 2 * mx + x2) / 4, (y1 + 2 * my + y2) / 4],
-    points: [
-      [x1, y1],
-      [(x1 + 2 * mx + x2) / 4, (y1 + 2 * my + y2) / 4],
-      [x2, y2],
-    ],
-  };
-}
+/** How far aside (px) an arc with two bends is at the part `t` of its way. */
+export const asideAt = ([first, second], t) => 3 * t * (1 - t) * ((1 - t) * first + t * second);
 
-function routed(from, to, route) {
-  const cubics = [];
-  for (let i = 0; i + 7 < route.length; i += 6) cubics.push(route.slice(i, i + 8));
-  const begin = crossing(cubics, from, false),
-    end = crossing(cubics, to, true);
-  if (!begin || !end || begin[0] > end[0] || (begin[0] === end[0] && begin[1] >= end[1]))
-    return null;
-  const parts = [];
-  for (let i = begin[0]; i <= end[0]; i++) {
-    parts.push(cubicPart(cubics[i], i === begin[0] ? begin[1] : 0, i === end[0] ? end[1] : 1));
-  }
-  const last = parts[parts.length - 1];
-  let dx = last[6] - last[4],
-    dy = last[7] - last[5];
-  if (Math.hypot(dx, dy) < 0.5) [dx, dy] = [last[6] - last[2], last[7] - last[3]];
+/** The curve of an arc from edge to edge. `bends`: how far its control points, at a third and at two thirds of its way,
+ * are aside of the straight line (px). Returns {start, controls, tip, direction, middle, points}: direction is the unit
+ * vector at the tip, points a sample of the line. */
+export function arcShape(from, to, bends) {
+  const [dx, dy] = [to.x - from.x, to.y - from.y];
   const length = Math.hypot(dx, dy) || 1;
-  const middle = parts[Math.floor((parts.length - 1) / 2)];
+  const beside = (part, aside) => [
+    from.x + part * dx - (aside * dy) / length,
+    from.y + part * dy + (aside * dx) / length,
+  ];
+  const [first, second] = bends.map((bend, i) => beside((i + 1) / 3, bend));
+  const edge = (node, [x, y], gap) => {
+    const [ex, ey] = [x - node.x, y - node.y];
+    const far = Math.hypot(ex, ey) || 1;
+    const way = [ex / far, ey / far];
+    const out = reach(node, ex, ey) + gap;
+    return { way, at: [node.x + way[0] * out, node.y + way[1] * out] };
+  };
+  const [begin, end] = [edge(from, first, 0), edge(to, second, 1)];
+  const straight = bends.every((bend) => !bend);
+  const steps = straight ? 0 : 3 + Math.ceil(Math.max(...bends.map(Math.abs)) / 12);
+  const between = Array.from({ length: steps }, (_, i) => (i + 1) / (steps + 1));
   return {
-    start: [r(parts[0][0]), r(parts[0][1])],
-    body: (bx, by) =>
-      parts
-        .map((c, i) => {
-          const tail = i === parts.length - 1 ? `${r(bx)} ${r(by)}` : `${r(c[6])} ${r(c[7])}`;
-          return `C${r(c[2])} ${r(c[3])} ${r(c[4])} ${r(c[5])} ${tail}`;
-        })
-        .join(""),
-    tip: [last[6], last[7]],
-    direction: [dx / length, dy / length],
-    middle: cubicAt(middle, 0.5),
-    points: parts.flatMap((c) => [0, 0.25, 0.5, 0.75, 1].map((t) => cubicAt(c, t))),
+    start: begin.at,
+    controls: straight ? [] : [first, second],
+    tip: end.at,
+    direction: end.way.map((value) => -value),
+    middle: beside(0.5, asideAt(bends, 0.5)),
+    points: [begin.at, ...between.map((t) => beside(t, asideAt(bends, t))), end.at],
   };
 }
 
@@ -181,7 +59,9 @@ export function arcLine(shape, inhibitor) {
   const [x, y] = shape.tip,
     [ux, uy] = shape.direction;
   const gap = inhibitor ? 7 : HEAD - 1;
-  return `M${shape.start[0]} ${shape.start[1]}${shape.body(x - ux * gap, y - uy * gap)}`;
+  const points = [shape.start, ...shape.controls, [x - ux * gap, y - uy * gap]];
+  const [from, ...rest] = points.map((point) => point.map(r).join(" "));
+  return `M${from}${rest.length > 1 ? "C" : "L"}${rest.join(" ")}`;
 }
 
 /** SVG path text of the end of an arc, an arrowhead or a small circle, `size` times as large as usual. */

@@ -300,9 +300,9 @@ export class Labels {
   /** Points of the arcs, in pixels, by cell. */
   sampleArcs(lines, { k, x, y }) {
     for (const arc of this.view.arcs.all) {
-      for (let i = 1; i < arc.points.length; i++) {
-        const [ax, ay] = [arc.points[i - 1][0] * k + x, arc.points[i - 1][1] * k + y];
-        const [bx, by] = [arc.points[i][0] * k + x, arc.points[i][1] * k + y];
+      for (let i = 1; i < arc.shape.points.length; i++) {
+        const [ax, ay] = [arc.shape.points[i - 1][0] * k + x, arc.shape.points[i - 1][1] * k + y];
+        const [bx, by] = [arc.shape.points[i][0] * k + x, arc.shape.points[i][1] * k + y];
         const steps = Math.min(200, Math.ceil(Math.hypot(bx - ax, by - ay) / 6));
         for (let j = 0; j <= steps; j++) {
           const px = ax + ((bx - ax) * j) / steps,

@@ -1,7 +1,8 @@
 // The arcs of the net: all arcs of one kind form a single path, which is fast to draw.
 
 import { s } from "./dom.js";
-import { arcShape, arcLine, arcEnd } from "./geometry.js";
+import { ArcRoutes } from "./arc_routes.js";
+import { arcLine, arcEnd } from "./geometry.js";
 
 const KINDS = {
   lines: "lines",
@@ -10,19 +11,10 @@ const KINDS = {
   heads: "heads",
   circles: "circles",
 };
-export const SIZES = [1, 1.5, 2, 3, 4]; // scale factors of arrowheads, which keep them visible when zoomed out
-const MEETS = 3; // px by which a route may miss the centre of a node
-export const BEND = 16; // px by which two arcs between the same nodes bend apart
+const SIZES = [1, 1.5, 2, 3, 4]; // scale factors of arrowheads, which keep them visible when zoomed out
 
-/** A route from the server, if it connects the ends of an arc, possibly after both were shifted by the same amount. */
-function routeBetween({ from, to }, route) {
-  if (!route) return null;
-  const [dx, dy] = [from.x - route[0], from.y - route[1]];
-  const [ex, ey] = [to.x - route.at(-2), to.y - route.at(-1)];
-  if (Math.hypot(ex - dx, ey - dy) > MEETS) return null;
-  if (Math.hypot(dx, dy) <= MEETS) return route;
-  return route.map((value, i) => value + (i % 2 ? dy : dx));
-}
+/** The scale factor of arrowheads at zoom `k`. */
+export const sizeAt = (k) => SIZES.find((factor) => factor * k >= 0.7) || SIZES.at(-1);
 
 export class Arcs {
   /** `places` and `transitions`: the nodes, by index. */
@@ -37,27 +29,25 @@ export class Arcs {
     this.layer.append(this.weights);
     this.near = null;
     this.size = 1;
+    this.routes = new ArcRoutes();
     const seen = new Set(scene.arcs.map(([p, t, forth]) => `${p},${t},${forth}`));
-    this.all = scene.arcs.map(([p, t, forth, weight, inhibitor], index) => ({
-      index,
+    this.all = scene.arcs.map(([p, t, forth, weight, inhibitor]) => ({
       weight,
       inhibitor,
       from: forth ? places[p] : transitions[t],
       to: forth ? transitions[t] : places[p],
       both: seen.has(`${p},${t},${1 - forth}`),
+      stale: true,
     }));
   }
 
-  /** Compute the shapes of all arcs, or of one node's. `routes`: the server's, for nodes at the positions it chose. */
-  route(routes, only = null) {
-    for (const arc of this.all) {
-      if (only && arc.from !== only && arc.to !== only) continue;
+  /** Draw the arcs between the nodes as they are now. */
+  route(nodes) {
+    for (const arc of this.all)
       arc.hidden = Boolean(arc.from.folded) && arc.from.folded === arc.to.folded;
-      const route = routeBetween(arc, routes[arc.index]);
-      arc.shape = arcShape(arc.from, arc.to, route, arc.both ? BEND : 0);
+    const drawn = nodes.filter((node) => !node.folded || node.folded === node);
+    for (const arc of this.routes.route(drawn, this.all))
       arc.line = arcLine(arc.shape, arc.inhibitor);
-      Object.assign(arc, { middle: arc.shape.middle, points: arc.shape.points });
-    }
     this.path.lines.setAttribute(
       "d",
       this.join((a) => !a.inhibitor && a.line),
@@ -70,7 +60,9 @@ export class Arcs {
     this.weights.replaceChildren(
       ...this.all
         .filter((a) => a.weight > 1 && !a.hidden)
-        .map((a) => s("text", { x: a.middle[0], y: a.middle[1], text: String(a.weight) })),
+        .map(({ shape: { middle }, weight }) =>
+          s("text", { x: middle[0], y: middle[1], text: String(weight) }),
+        ),
     );
     this.showNear(this.near);
   }
@@ -96,9 +88,8 @@ export class Arcs {
 
   /** Adapt to zoom `k`: zoomed out, arrowheads are drawn larger, in a few steps. */
   zoomed(k) {
-    const size = SIZES.find((factor) => factor * k >= 0.7) || SIZES[SIZES.length - 1];
-    if (size === this.size) return;
-    this.size = size;
+    if (sizeAt(k) === this.size) return;
+    this.size = sizeAt(k);
     this.drawEnds();
   }
 

@@ -56,7 +56,6 @@ export class NetView extends EventTarget {
   put(layout) {
     const { scene } = this;
     const moved = this.kept.read();
-    this.routes = layout.routes;
     const make = (kind, index, [x, y], name) => {
       const node = this.nodes[index + (kind === "place" ? 0 : scene.places.length)] || {
         kind,
@@ -104,7 +103,7 @@ export class NetView extends EventTarget {
     this.moving = [...Object.values(this.layer), ...this.tiles.values()];
     this.subnets.apply();
     for (const node of this.nodes) node.element.setAttribute("transform", at(node));
-    this.arcs.route(this.routes);
+    this.arcs.route(this.nodes);
   }
 
   /** The group of nearby nodes that a node is drawn in: groups that do not change are not redrawn. */
@@ -266,7 +265,7 @@ export class NetView extends EventTarget {
   refold() {
     this.subnets.apply();
     for (const node of this.nodes) node.element.setAttribute("transform", at(node));
-    this.arcs.route(this.routes);
+    this.arcs.route(this.nodes);
     this.reset();
     this.labels.later();
   }
@@ -286,13 +285,13 @@ export class NetView extends EventTarget {
     if (!this.routing)
       this.routing = requestAnimationFrame(() => {
         this.routing = 0;
-        this.arcs.route(this.routes, node.folded ? null : node);
+        this.arcs.route(this.nodes);
       });
   }
 
   /** A node was released. */
-  dropNode(node) {
-    this.arcs.route(this.routes, node.folded ? null : node);
+  dropNode() {
+    this.arcs.route(this.nodes);
     this.kept.write(this.nodes);
     this.labels.later();
   }
@@ -303,7 +302,7 @@ export class NetView extends EventTarget {
     this.put(layout);
     this.subnets.apply();
     for (const node of this.nodes) node.element.setAttribute("transform", at(node));
-    this.arcs.route(this.routes);
+    this.arcs.route(this.nodes);
     this.camera.fit();
     this.labels.later();
   }

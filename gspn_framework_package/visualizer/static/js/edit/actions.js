@@ -276,14 +276,10 @@ export class Actions {
     const { state } = mode.document;
     const layout = await attempt(() => post("edit/layout", { document: state }, { id: mode.id }));
     if (!layout || mode.closed) return;
-    const { scale } = mode.canvas;
-    const points = new Map(
-      Object.entries({ ...layout.places, ...layout.transitions }).map(([name, [x, y]]) => [
-        name,
-        [x * scale, y * scale],
-      ]),
+    this.move(
+      "Lay the net out",
+      new Map(Object.entries({ ...layout.places, ...layout.transitions })),
     );
-    this.move("Lay the net out", points);
     mode.canvas.camera.fit();
   }
 

@@ -2,11 +2,12 @@
 // elements of changed objects are redrawn: an edit costs the same in a large net as in a small one.
 
 import { s } from "../dom.js";
-import { arcShape, arcLine, arcEnd, boundsOf } from "../geometry.js";
+import { ArcRoutes } from "../arc_routes.js";
+import { arcLine, arcEnd, boundsOf } from "../geometry.js";
 import { Camera } from "../net_camera.js";
 import { Labels } from "../labels.js";
 import { at, buildPlace, buildTransition, drawPlace } from "../net_nodes.js";
-import { BEND, SIZES } from "../net_arcs.js";
+import { sizeAt } from "../net_arcs.js";
 import { arcKey, nodeKey } from "./net_edits.js";
 
 const GAP = 96; // px between the nodes of a net without positions
@@ -28,7 +29,8 @@ export class Canvas extends EventTarget {
     this.arcs = { all: [], zoomed: (k) => this.zoomed(k) };
     this.chosen = new Set();
     this.marks = new Map();
-    this.stale = new Set(); // arcs to be routed before the next frame
+    this.routes = new ArcRoutes();
+    this.moved = false; // whether arcs are to be routed before the next frame
     this.size = 1;
     this.own = new Map(); // positions of nodes that have none in the document
     this.shown = null; // the state that is drawn
@@ -101,7 +103,7 @@ export class Canvas extends EventTarget {
   /** Show nodes that have no position where the server's layout puts them; the document is not changed. */
   useLayout({ places, transitions }) {
     for (const [name, [x, y]] of Object.entries({ ...places, ...transitions }))
-      this.own.set(name, [x * this.scale, y * this.scale]);
+      this.own.set(name, [x, y]);
     for (const node of this.nodes) if (!node.data.position) this.place(node);
     this.camera.fit();
   }
@@ -155,6 +157,7 @@ export class Canvas extends EventTarget {
     if (nodes) this.nodes = [...this.byKey.values()];
     if (another("arcs") || this.loose) this.showArcs(net.arcs);
     this.labels?.later();
+    this.moved = true;
     this.request();
   }
 
@@ -232,7 +235,8 @@ export class Canvas extends EventTarget {
     const old = node.element;
     this.build(node, look);
     old.replaceWith(node.element);
-    for (const arc of node.arcs) this.stale.add(arc);
+    for (const arc of node.arcs) arc.stale = true;
+    this.moved = true;
   }
 
   drawTokens(node) {
@@ -251,7 +255,7 @@ export class Canvas extends EventTarget {
     if (node.x === x && node.y === y) return;
     [node.x, node.y] = [x, y];
     node.element.setAttribute("transform", at(node));
-    for (const arc of node.arcs) this.stale.add(arc);
+    this.moved = true;
     this.request();
   }
 
@@ -308,10 +312,7 @@ export class Canvas extends EventTarget {
         arc = null;
       }
       if (!arc) arc = this.addArc(data, from, to);
-      if (arc.both !== bent) {
-        arc.both = bent;
-        this.stale.add(arc);
-      }
+      if (arc.both !== bent) Object.assign(arc, { both: bent, stale: true });
       all.push(arc);
     }
     for (const arc of known.values()) this.dropArc(arc);
@@ -328,7 +329,8 @@ export class Canvas extends EventTarget {
     const line = s("path", { class: `lines${data.inhibitor ? " inhibitor" : ""}` });
     const end = s("path", { class: data.inhibitor ? "circles" : "heads" });
     const element = s("g.arc", { "data-arc": key }, line, end);
-    const arc = { key, data, from, to, both: null, line, end, element, points: [], middle: [0, 0] };
+    const shape = { points: [], middle: [0, 0] };
+    const arc = { key, data, from, to, both: null, line, end, element, shape, stale: true };
     if ((data.weight ?? 1) !== 1) {
       arc.weight = s("text", String(data.weight));
       element.append(arc.weight);
@@ -338,7 +340,6 @@ export class Canvas extends EventTarget {
     to.arcs.add(arc);
     const lifted = this.lifted.has(from) || this.lifted.has(to);
     this.layer[lifted ? "liftedArcs" : "arcs"].append(element);
-    this.stale.add(arc);
     return arc;
   }
 
@@ -346,25 +347,28 @@ export class Canvas extends EventTarget {
     arc.from.arcs.delete(arc);
     arc.to.arcs.delete(arc);
     arc.element.remove();
-    this.stale.delete(arc);
   }
 
-  route(arc) {
-    const { inhibitor } = arc.data;
-    arc.shape = arcShape(arc.from, arc.to, null, arc.both ? BEND : 0);
-    arc.points = arc.shape.points;
-    arc.middle = arc.shape.middle;
-    arc.line.setAttribute("d", arcLine(arc.shape, inhibitor));
-    arc.end.setAttribute("d", arcEnd(arc.shape, inhibitor, this.size));
-    arc.weight?.setAttribute("x", arc.middle[0].toFixed(1));
-    arc.weight?.setAttribute("y", arc.middle[1].toFixed(1));
+  /** Draw the arcs between the nodes as they are now. */
+  drawArcs() {
+    this.moved = false;
+    for (const arc of this.routes.route(this.nodes, this.arcs.all)) {
+      arc.line.setAttribute("d", arcLine(arc.shape, arc.data.inhibitor));
+      this.drawEnd(arc);
+      const [x, y] = arc.shape.middle;
+      arc.weight?.setAttribute("x", x.toFixed(1));
+      arc.weight?.setAttribute("y", y.toFixed(1));
+    }
+  }
+
+  drawEnd(arc) {
+    arc.end.setAttribute("d", arcEnd(arc.shape, arc.data.inhibitor, this.size));
   }
 
   zoomed(k) {
-    const size = SIZES.find((factor) => factor * k >= 0.7) || SIZES[SIZES.length - 1];
-    if (size === this.size) return;
-    this.size = size;
-    for (const arc of this.arcs.all) this.stale.add(arc);
+    if (sizeAt(k) === this.size) return;
+    this.size = sizeAt(k);
+    for (const arc of this.arcs.all) if (!arc.stale) this.drawEnd(arc);
   }
 
   request() {
@@ -377,8 +381,7 @@ export class Canvas extends EventTarget {
       this.camera.draw();
       this.labels.later();
     }
-    for (const arc of this.stale) this.route(arc);
-    this.stale.clear();
+    if (this.moved) this.drawArcs();
     this.dispatchEvent(new CustomEvent("frame"));
   }
 

@@ -76,8 +76,8 @@ export class CanvasPointer extends Pointer {
   arcAt(point) {
     let [best, least] = [null, ARC / this.view.camera.now.k];
     for (const arc of this.view.arcs.all)
-      for (let i = 1; i < arc.points.length; i++) {
-        const apart = distance(point, arc.points[i - 1], arc.points[i]);
+      for (let i = 1; i < arc.shape.points.length; i++) {
+        const apart = distance(point, arc.shape.points[i - 1], arc.shape.points[i]);
         if (apart < least) [best, least] = [arc, apart];
       }
     return best;

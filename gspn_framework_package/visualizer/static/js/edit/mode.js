@@ -438,7 +438,7 @@ export class EditMode extends EventTarget {
     const node = canvas.byKey.get(key);
     const arc = canvas.arcsByKey.get(key)?.[0];
     if (!node && !arc) return;
-    const [x, y] = node ? [node.x, node.y] : arc.middle;
+    const [x, y] = node ? [node.x, node.y] : arc.shape.middle;
     const { k, x: x0, y: y0 } = canvas.camera.now;
     const field = textField({
       id: "ed-name",
