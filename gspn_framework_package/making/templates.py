@@ -1,4 +1,4 @@
-"""Starter plans: each is a folder with a net, a policy, actions, a test and a README.
+"""Starter plans: each is a folder with a net, a policy, actions, tests and a README.
 
 >>> sorted(templates_by_name())
 ['charge', 'deliver', 'inspect', 'patrol', 'rendezvous']
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import string
 from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
@@ -27,13 +28,22 @@ MOST_TEMPLATE_ROBOTS = 1000
 
 _FILES = os.path.join(os.path.dirname(os.path.abspath(__file__)), "template_files")
 _COLUMN, _ROW = 220, 120  # of the drawing
+_MOST_ORDERS = 20  # that wait
+_SUBMIT = """
+        for number in range(BUSY):
+            self.team.submit("order", data={"address": "door %d" % number})"""
 
 
 class _Draft(NamedTuple):
-    """A template's description of the new plan; ``words`` replace ``$word`` in its files."""
+    """A template's description of the new plan.
+
+    :ivar promised: transitions that fire on ROS, and places that get a token.
+    :ivar words: replace ``$word`` in its files.
+    """
 
     net: Net
     plan: Dict[str, Any]
+    promised: Sequence[str]
     policy: Optional[Dict[str, Any]] = None
     words: Mapping[str, str] = {}
 
@@ -83,19 +93,26 @@ def write(
         )
     if places is not None:
         _check_places(name, template, places)
-    title = plan or os.path.basename(os.path.abspath(folder)) or name
+    base = os.path.basename(os.path.abspath(folder))
+    title = plan or base or name
     draft = template.make(title, team, tuple(places or PLACES))
+    module = re.sub(r"\W", "_", base, flags=re.ASCII).lower().strip("_") or name
     words = {
         "title": title,
-        "folder": os.path.basename(os.path.abspath(folder)),
+        "folder": shlex.quote(base),
+        "module": module,
         "robots": str(team),
+        "busy": str(team),
+        "promised": ", ".join(map(repr, draft.promised)),
+        "work": "",
         **draft.words,
     }
-    module = re.sub(r"\W", "_", words["folder"], flags=re.ASCII).lower().strip("_") or name
     files = {
         "actions.py": _fill(name + ".actions.py.txt", words),
         "test_%s.py" % module: _fill(name + ".test.py.txt", words),
-        "README.md": _fill(name + ".README.md.txt", {**words, "test": "test_%s.py" % module}),
+        "%s.test" % module: _fill("rostest.test.txt", words),
+        "rostest_%s.py" % module: _fill("rostest.py.txt", words),
+        "README.md": _fill(name + ".README.md.txt", words),
     }
     return write_plan_folder(folder, draft.net, draft.plan, draft.policy, files)
 
@@ -204,7 +221,8 @@ def _patrol(title: str, robots: int, places: Sequence[str]) -> _Draft:
         },
     }
     words = {"first": repr(places[0]), "second": repr(places[1]), "list": ", ".join(places)}
-    return _Draft(net.build(), plan, {"places": counted, "rows": rows}, words)
+    seen = ["looked_" + place for place in places[:2]]
+    return _Draft(net.build(), plan, seen, {"places": counted, "rows": rows}, words)
 
 
 def _inspect(title: str, robots: int, places: Sequence[str]) -> _Draft:
@@ -268,9 +286,13 @@ def _inspect(title: str, robots: int, places: Sequence[str]) -> _Draft:
         "outcomes": outcomes,
     }
     policy = {"places": due_places, "rows": rows}
-    first, names = repr(places[0]), ", ".join(places)
-    words = {"first": first, "places": repr(list(places)), "list": names}
-    return _Draft(net.build(), plan, policy, words)
+    words = {
+        "first": repr(places[0]),
+        "places": repr(list(places)),
+        "list": ", ".join(places),
+        "busy": str(min(robots, len(places))),
+    }
+    return _Draft(net.build(), plan, ["Fresh_" + places[0]], policy, words)
 
 
 def _deliver(title: str, robots: int, places: Sequence[str]) -> _Draft:
@@ -279,7 +301,7 @@ def _deliver(title: str, robots: int, places: Sequence[str]) -> _Draft:
         .place("Idle", robots, position=_at(0, 0))
         .place("Fetch", position=_at(2, 0))
         .place("Deliver", position=_at(4, 0))
-        .place("Orders", 0, 20, position=_at(1, 2))
+        .place("Orders", 0, _MOST_ORDERS, position=_at(1, 2))
         .exponential("order", 0.1, outputs="Orders", position=_at(0, 2))
         .immediate("take", inputs=["Idle", "Orders"], outputs="Fetch", position=_at(1, 0))
         .exponential("fetched", 0.5, None, inputs="Fetch", outputs="Deliver", position=_at(3, 0))
@@ -313,7 +335,8 @@ def _deliver(title: str, robots: int, places: Sequence[str]) -> _Draft:
         "on_evict": {"Fetch": {"Orders": 1}, "Deliver": {"Orders": 1}},
         "durations": {"Fetch": _lasts(2.0), "Deliver": _lasts(4.0)},
     }
-    return _Draft(net, plan)
+    words = {"busy": str(min(robots, _MOST_ORDERS)), "work": _SUBMIT}
+    return _Draft(net, plan, ["delivered"], words=words)
 
 
 def _charge(title: str, robots: int, places: Sequence[str]) -> _Draft:
@@ -362,7 +385,7 @@ def _charge(title: str, robots: int, places: Sequence[str]) -> _Draft:
         "on_evict": {"Charge": {"Charger": 1}},
         "durations": {"Work": _lasts(5.0), "Work_on": _lasts(5.0), "Charge": _lasts(10.0)},
     }
-    return _Draft(net, plan, policy)
+    return _Draft(net, plan, ["charged"], policy)
 
 
 def _rendezvous(title: str, robots: int, places: Sequence[str]) -> _Draft:
@@ -403,7 +426,8 @@ def _rendezvous(title: str, robots: int, places: Sequence[str]) -> _Draft:
         {"marking": [0, 0, "-", "-"], "choose": {"pick": 1}},
         {"marking": ["-"] * 4, "choose": {"meet": 1}},
     ]
-    return _Draft(net, plan, {"places": ["Pick", "Full", "Come", "Wait"], "rows": rows})
+    policy = {"places": ["Pick", "Full", "Come", "Wait"], "rows": rows}
+    return _Draft(net, plan, ["meet", "brought"], policy)
 
 
 _TEMPLATES: Dict[str, _Template] = {

@@ -43,6 +43,7 @@ NOT_RUN = (
     (r"pip3? install .+", "the network; what it installs is compared below"),
     (r"python3 -m venv ~/gspn", "for the next: scripts/check_install.sh does the same offline"),
     (r"~/gspn/bin/(pip install \.|gspn --help)", "the network"),
+    (r"rostest --pkgdir .+", "a ROS master: test/rostest/new runs such a one"),
     (r"python3 -m coverage report -m", "a library that the tests do without"),
     (r"rosrun fkie_master_(discovery|sync) \w+", "a package of others"),
     (r"(storm|prism) .+", "programs of others; test/unit/formats reads the files with stormpy"),

@@ -1,5 +1,6 @@
 """``gspn new``: every template is a plan without warnings, whose own tests pass."""
 
+import ast
 import json
 import os
 import subprocess
@@ -7,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from lxml import etree
 from waiting import PATIENCE
 
 from gspn_framework_package.cli.main import main
@@ -65,6 +67,34 @@ def test_the_tests_of_the_new_plans_pass(made):
     )
     assert done.returncode == 0, done.stdout
     assert "skipped" not in done.stdout
+
+
+@pytest.mark.parametrize("size", ["", "large-"])
+@pytest.mark.parametrize("name", templates.templates_by_name())
+def test_the_test_on_ros_names_what_the_new_plan_has(made, name, size):
+    """It runs in test/rostest/new."""
+    folder = made / (size + name)
+    module = (size + name).replace("-", "_")
+    text = (folder / ("rostest_%s.py" % module)).read_text(encoding="utf-8")
+    found = {
+        target.id: ast.literal_eval(node.value)
+        for node in ast.parse(text).body
+        if isinstance(node, ast.Assign)
+        for target in node.targets
+    }
+    plan = read_plan(str(folder))
+    assert found["ROBOTS"] == len(plan.robots)
+    nodes = {node.name for node in (*plan.net.places, *plan.net.transitions)}
+    assert found["PROMISED"] and found["PROMISED"] <= nodes
+    run = Scenario(plan)
+    for _ in range(found["BUSY"] if name == "deliver" else 0):
+        run.submit("order", {"address": "door 1"})
+    run.advance(10.0)
+    assert len({move.robot for firing in run.firings for move in firing.moves}) >= found["BUSY"]
+    launch = etree.fromstring((folder / (module + ".test")).read_bytes())
+    given = {arg.get("name"): arg.get("value") for arg in launch.find("include")}
+    assert given == {"plan": "$(dirname)", "robots": str(len(plan.robots))}
+    assert "/rostest_%s.py'" % module in launch.find("test").get("launch-prefix")
 
 
 def test_it_refuses_a_folder_that_exists_and_leaves_it(tmp_path, capsys):
