@@ -269,6 +269,11 @@ def test_models_are_found_by_their_names_and_stand_where_gazebo_saved_them(tmp_p
         (a_model(MESH % "none.obj"), 13, "there is no 'none.obj'"),
         (a_model(MESH % "hall.world"), 13, "PyBullet does not load"),
         (a_model(MESH % "bad.dae"), 13, "PyBullet does not load"),
+        (
+            a_model(MESH % "points.obj"),
+            13,
+            "line 5 of {folder}/points.obj names a point that is not",
+        ),
         (a_model(MESH[:-7] % "bad.dae" + "<scale>1 0 1</scale></mesh>"), 13, "is 0"),
         (a_model("<box><size>1e9 1 1</size></box>", "0 0 0 1 0 0"), 13, "too large for a room"),
         (a_model("<box><size>1 1</size></box>"), 13, "<size> has not 3 numbers"),
@@ -293,9 +298,11 @@ def test_what_cannot_be_read_is_named_and_nothing_is_written(
     temporary.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     (tmp_path / "bad.dae").write_text("<COLLADA/>")
+    (tmp_path / "points.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 1\nf -3 2/1 3\nf 1 2 4\n")
     file = a_world(tmp_path, a_model("<plane/>").replace("\n", ""), model)
     assert main(["room", file, "-o", str(tmp_path / "room.yaml")]) == 2
     told = capsys.readouterr()
+    words = words.format(folder=tmp_path)
     assert "%s:%d: " % (file, line) in told.err and words in told.err, told.err
     assert told.out == "" and not (tmp_path / "room.yaml").exists()
     assert not list(temporary.iterdir())

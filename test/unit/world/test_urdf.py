@@ -119,6 +119,7 @@ def test_a_link_without_inertial_adds_no_mass_and_a_mesh_its_size(tmp_path):
         (('xyz="0 0.12 0"', 'xyz="0.1 0.12 0"'), WHEELS, "the wheels are at (0.1, 0.12)"),
         (('xyz="0 0.12 0" rpy="-1.5707963 0 0"', 'xyz="0 0.12 0"'), WHEELS, "not across"),
         (('<sphere radius="0.02"/>', '<mesh filename="a.stl"/>'), WHEELS, "no mesh 'a.stl'"),
+        (('<sphere radius="0.02"/>', '<mesh filename="b.obj"/>'), WHEELS, "a point that is not in"),
         (('<sphere radius="0.02"/>', '<sphere radius="big"/>'), WHEELS, "link 'caster'"),
         (('<child link="caster"/>', '<child link="base"/>'), WHEELS, "no tree"),
         (('<child link="caster"/>', '<child link="nothing"/>'), WHEELS, "'nothing'"),
@@ -126,6 +127,7 @@ def test_a_link_without_inertial_adds_no_mass_and_a_mesh_its_size(tmp_path):
     ],
 )
 def test_what_is_wrong_in_a_urdf_is_named(tmp_path, change, robot, said):
+    (tmp_path / "b.obj").write_text("v 0 0 0\nv 1 0 0\nf 1 2 3\n")
     with pytest.raises(InputError) as error, quiet(2):
         room(tmp_path, CART.replace(*change) if change[0] else CART, robot)
     assert said in str(error.value)
