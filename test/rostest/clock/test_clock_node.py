@@ -1,7 +1,6 @@
 #!/usr/bin/env python3
 """Actions while simulated time is paused, fast, and goes back."""
 
-import contextlib
 import os
 import queue
 import sys
@@ -13,11 +12,11 @@ from functools import partial
 import actionlib
 import rospy
 from actionlib.msg import TestAction
-from rosgraph_msgs.msg import Clock
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path[:0] = [HERE, os.path.join(os.path.dirname(HERE), "support")]
 
+from simulated_clock import SimulatedClock
 from waiting import PATIENCE, wait_for
 from worker import PATIENT, Worker, plan_in
 
@@ -30,26 +29,6 @@ plan_of = partial(plan_in, HERE)
 
 SILENT = 1.0 * PATIENCE
 """After so long without a status (s) a server counts as dead. Python servers send five a second."""
-
-
-class SimulatedClock:
-    """Publishes /clock; ``rate`` seconds of it pass in one second."""
-
-    def __init__(self):
-        self.now, self.rate = 1000.0, 1.0
-        self._publisher = rospy.Publisher("/clock", Clock, queue_size=1)
-        threading.Thread(target=self._tick, daemon=True).start()
-        wait_for(rospy.get_time, what="the first /clock")
-
-    def _tick(self):
-        last = time.monotonic()
-        while not rospy.is_shutdown():
-            now = time.monotonic()
-            self.now += (now - last) * self.rate
-            last = now
-            with contextlib.suppress(rospy.ROSException):  # the end of the test closes the topic
-                self._publisher.publish(Clock(rospy.Time.from_sec(self.now)))
-            time.sleep(0.01)
 
 
 class ClockTest(unittest.TestCase):
