@@ -1,5 +1,5 @@
-"""The times of a plan as it runs: a robot is *doing* the action of its place for a duration, then
-*done* with an outcome, and the transition that it asks for fires as soon as it can.
+"""What a plan means for each robot as it runs: the robot is *doing* the action of its place for a
+duration, then *done* with an outcome, and the transition that it asks for fires as soon as it can.
 
 The duration and the outcomes of a place come from the plan (``durations``, ``outcomes``,
 ``failures``). If it gives none, the net determines them: with exponential transitions of the rates
@@ -15,14 +15,20 @@ after the event's ``after``.
 This is the same as the classical reading of the net, in which exponential transitions race while
 they are enabled, wherever nothing but the robot's own token can disable them, since exponential
 times are memoryless. :attr:`PlanTiming.splits` names the places where the two differ.
+
+A run net counts alike robots in columns made of :class:`PlanRules` (``run_net/compiling``); the
+simulation, which follows each robot, and the check read them as they are.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Dict, List, NamedTuple, Sequence, Tuple
+from dataclasses import dataclass
+from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
 
+from gspn_framework_package.model.condition import Condition, parse_condition
 from gspn_framework_package.model.duration import Duration, Kind
+from gspn_framework_package.model.failure import FailureRule
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 
@@ -32,6 +38,9 @@ POLICY = -1
 
 NO_REQUEST = -2
 """In place of a transition: none, and the policy does not decide either."""
+
+FOR_GOOD = -3
+"""In place of a transition: nothing ever, since no transition leaves the place."""
 
 
 class PlaceTiming(NamedTuple):
@@ -92,7 +101,7 @@ class PlanTiming:
     def of(self, robot: str, place: int) -> PlaceTiming:
         """The timing of ``robot`` in action place number ``place``, with the robot's own action if
         it has one."""
-        return self._idle[place] if self._is_idle(place, robot) else self.places[place]
+        return self._idle[place] if self.is_idle(place, robot) else self.places[place]
 
     @property
     def splits(self) -> Dict[str, str]:
@@ -100,12 +109,12 @@ class PlanTiming:
         where *doing* and *done* must be distinguished."""
         found = {}
         for p, timing in self.places.items():
-            why = self._why_split(p, self._idle[p] if self._is_idle(p) else timing)
+            why = self._why_split(p, self._idle[p] if self.is_idle(p) else timing)
             if why:
                 found[self._net.places[p].name] = why
         return found
 
-    def _is_idle(self, p: int, robot: str = "") -> bool:
+    def is_idle(self, p: int, robot: str = "") -> bool:
         """Whether the place is mapped to no action: for the robot, or for the team."""
         name = self._net.places[p].name
         for spec in self._plan.robots:
@@ -133,7 +142,7 @@ class PlanTiming:
     def _timing(self, name: str) -> PlaceTiming:
         plan, net = self._plan, self._net
         p = net.place_index[name]
-        if self._is_idle(p) and not any(name in r.actions for r in plan.robots):
+        if self.is_idle(p) and not any(name in r.actions for r in plan.robots):
             return PlaceTiming(
                 Duration.none(), self._asked_at_once(p), 0.0, math.inf, self._blocked(p)
             )
@@ -191,7 +200,7 @@ class PlanTiming:
         by_rates: List[str] = []
         for p, timing in self.places.items():
             name = net.places[p].name
-            if self._is_idle(p) or not self._of_action[p]:
+            if self.is_idle(p) or not self._of_action[p]:
                 continue
             if name not in plan.durations:
                 (no_time if timing.duration.mean == 0 else by_rates).append(name)
@@ -210,7 +219,7 @@ class PlanTiming:
             for p, timing in self.places.items()
             if timing.outcomes == ((POLICY, 1.0),)
             and net.places[p].name not in plan.outcomes
-            and not self._is_idle(p)
+            and not self.is_idle(p)
             and not (self.events[p] and not self._of_action[p])
         ]
         if decided:
@@ -248,6 +257,168 @@ class PlanTiming:
                 "tokens are counted, so the order in which tasks are taken from %s changes nothing "
                 "here; it does in runs, and in what simulate --log records" % listed(told)
             )
+
+
+class PlaceVisit(NamedTuple):
+    """What a robot does in an action place.
+
+    :ivar idle: whether it has no action, so that it is done on arrival.
+    :ivar duration: how long an attempt at its action takes, if the timeout does not cut it off.
+    :ivar timeout: when an attempt is cut off, and fails (s); infinite: never.
+    :ivar failure: the probability that an attempt fails that the timeout does not cut off.
+    :ivar asks: pairs (what it asks for when an attempt succeeded, probability): a transition,
+        ``POLICY``, :data:`FOR_GOOD`, or ``NO_REQUEST``: what it says is not possible there, so that
+        the attempt has failed. Several pairs may ask for the same.
+    :ivar rule: what it does when an attempt has failed.
+    :ivar fallback: the transition that it asks for when no further attempt is made; -1: none.
+    """
+
+    idle: bool
+    duration: Duration
+    timeout: float
+    failure: float
+    asks: Tuple[Tuple[int, float], ...]
+    rule: FailureRule
+    fallback: int
+
+
+@dataclass(frozen=True)
+class PlanRules:
+    """What a plan means for each of its robots, made by :func:`rules_of`.
+
+    :ivar plan: the plan.
+    :ivar net: its net without the counters that nothing reads (``counters``). All numbers of places
+        and transitions here are those of this net.
+    :ivar classical: whether this is the classical reading.
+    :ivar acts: for each place whether its tokens are robots.
+    :ivar robots_of: for each transition the robots that it takes: pairs (place, robots).
+    :ivar urgency: for each transition its priority; -1 if it is exponential.
+    :ivar interrupted: the transitions by which events interrupt robots -> the place of the robot.
+    :ivar spontaneous: immediate transitions that only take resources.
+    :ivar environment: exponential ones that only take resources.
+    :ivar resets: for each transition whether its firing ends the draws of all robots: a firing
+        that changes the marking does.
+    :ivar until: the condition that ends the run, or None.
+    :ivar kinds: one robot of each kind: robots with equal actions are of one. The first, "", is any
+        robot without its own.
+    :ivar kind_of: the kind of each robot of the plan.
+    :ivar visits: for each kind, action place -> what it does there; empty in the classical reading.
+    """
+
+    plan: Plan
+    net: Net
+    counters: Tuple[str, ...]
+    classical: bool
+    acts: Sequence[bool]
+    robots_of: Sequence[Tuple[Tuple[int, int], ...]]
+    urgency: Sequence[int]
+    interrupted: Mapping[int, int]
+    spontaneous: Sequence[int]
+    environment: Sequence[int]
+    resets: Sequence[bool]
+    until: Optional[Condition]
+    kinds: Sequence[str]
+    kind_of: Sequence[int]
+    visits: Sequence[Mapping[int, PlaceVisit]]
+
+    def of_action(self, p: int) -> List[int]:
+        """The transitions that leave place ``p`` without an event: those that a robot can ask
+        for by itself."""
+        return [t for t in self.net.consumers[p] if t not in self.interrupted]
+
+    def requested(self, p: int) -> Set[int]:
+        """The transitions that robots in place ``p`` ask for by themselves, not by the policy."""
+        asked = {t for visits in self.visits for t, _ in visits[p].asks}
+        return asked.intersection(self.of_action(p))
+
+    def idle_places(self, everybody: bool = False) -> Dict[int, int]:
+        """The places in which some robot has no action -> what it asks for there at once.
+
+        :param everybody: only those in which no robot has one.
+        """
+        found: Dict[int, int] = {}
+        for p in self.visits[0]:
+            idle = [visits[p] for visits in self.visits if visits[p].idle]
+            mapped = self.net.places[p].name in self.plan.actions
+            kinds = {*self.kind_of, 0} if mapped else {*self.kind_of}
+            if idle and not (everybody and any(not self.visits[k][p].idle for k in kinds)):
+                asked, fallback = idle[0].asks[0][0], idle[0].fallback
+                found[p] = fallback if asked == NO_REQUEST and fallback >= 0 else asked
+        return found
+
+
+def rules_of(plan: Plan, timing: Optional[PlanTiming], left_out: Sequence[str] = ()) -> PlanRules:
+    """What a plan means for each of its robots.
+
+    :param plan: a validated plan.
+    :param timing: its durations and outcomes; None: the classical reading.
+    :param left_out: resource places that nothing reads.
+    """
+    net = plan.net.without_places(left_out) if left_out else plan.net
+    numbers = range(len(net.transitions))
+    acts = [p.name not in plan.resource_places for p in net.places]
+    robots_of = [tuple((p, w) for p, w in arcs if acts[p]) for arcs in net.inputs]
+    alone = [t for t in numbers if not robots_of[t]]
+    kinds, kind_of = _kinds(plan)
+    return PlanRules(
+        plan,
+        net,
+        tuple(left_out),
+        timing is None,
+        acts,
+        robots_of,
+        [-1 if t.timed else t.priority for t in net.transitions],
+        {
+            t: p
+            for t in numbers
+            if net.transitions[t].timed and net.transitions[t].name in plan.events
+            for p, _ in robots_of[t]
+        },
+        [t for t in alone if not net.transitions[t].timed],
+        [t for t in alone if net.transitions[t].timed],
+        # a firing that only adds to a counter changes the marking of the run
+        [timing is None or bool(plan.net.effect(t)) for t in numbers],
+        parse_condition(plan.until, [p.name for p in net.places]) if plan.until else None,
+        kinds,
+        kind_of,
+        [{} if timing is None else _visits(plan, timing, net, kind) for kind in kinds],
+    )
+
+
+def _visits(plan: Plan, timing: PlanTiming, net: Net, robot: str) -> Dict[int, PlaceVisit]:
+    """What a robot does in each action place."""
+    found: Dict[int, PlaceVisit] = {}
+    for p, place in enumerate(net.places):
+        if place.name in plan.resource_places:
+            continue
+        number = plan.net.place_index[place.name]
+        default, possible = unnamed(plan, number), {POLICY, *net.consumers[p]}
+        times = timing.of(robot, number)
+        outcomes = [(default if t == POLICY else t, v) for t, v in times.outcomes if v > 0]
+        asks = [(t if t in possible else NO_REQUEST, v) for t, v in outcomes or [(default, 1.0)]]
+        found[p] = PlaceVisit(
+            timing.is_idle(number, robot),
+            times.duration,
+            times.timeout,
+            times.failure,
+            tuple(asks) if net.consumers[p] else ((FOR_GOOD, 1.0),),
+            plan.failure_rule(place.name),
+            plan.fallback(number),
+        )
+    return found
+
+
+def _kinds(plan: Plan) -> Tuple[List[str], List[int]]:
+    """One robot of each kind, and the kind of each robot of the plan."""
+    names = [""]
+    kinds: List[Mapping[str, Any]] = [{}]
+    of: List[int] = []
+    for robot in plan.robots:
+        if robot.actions not in kinds:
+            kinds.append(robot.actions)
+            names.append(robot.name)
+        of.append(kinds.index(robot.actions))
+    return names, of
 
 
 def unnamed(plan: Plan, place: int) -> int:

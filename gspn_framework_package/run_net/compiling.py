@@ -27,14 +27,22 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
+from dataclasses import replace
 from typing import Dict, List, Optional, Sequence, Tuple
 
-from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.duration import Duration
-from gspn_framework_package.model.failure import FailureEnd, FailureRule
+from gspn_framework_package.model.failure import FailureEnd
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.model.plan_timing import POLICY, PlaceTiming, PlanTiming, unnamed
+from gspn_framework_package.model.plan_timing import (
+    NO_REQUEST,
+    POLICY,
+    PlaceVisit,
+    PlanRules,
+    PlanTiming,
+    rules_of,
+)
 from gspn_framework_package.run_net.columns import (
     End,
     EventClock,
@@ -86,50 +94,27 @@ def compile_plan(
         split for its duration alone; whether an attempt fails still follows from the true one.
     :param left_out: resource places that nothing reads; None: all of them.
     """
-    counters = plan.counters if left_out is None else tuple(left_out)
-    return _Compiler(plan, timing, phases, exponential, counters).run_net()
+    rules = rules_of(plan, timing, plan.counters if left_out is None else left_out)
+    splits = timing.splits if timing is not None else {}
+    return _Compiler(replace(rules, net=_net_of(rules)), splits, phases, exponential).run_net()
 
 
 class _Compiler:
     def __init__(
-        self,
-        plan: Plan,
-        timing: Optional[PlanTiming],
-        phases: bool,
-        exponential: bool,
-        counters: Tuple[str, ...],
+        self, rules: PlanRules, splits: Dict[str, str], phases: bool, exponential: bool
     ) -> None:
-        self._plan = plan
-        self._exponential = exponential
-        self._counters = counters
-        self._net = net = _net_of(plan, counters)
-        self._acts = [p.name not in plan.resource_places for p in net.places]
+        self._rules, self._exponential = rules, exponential
+        self._net = net = rules.net
         self._assumptions: List[str] = []
-        # a firing that only adds to a counter changes the marking of the run
-        self._changes = [bool(plan.net.effect(t)) for t in range(len(net.transitions))]
-        self._robots_of = [tuple((p, w) for p, w in arcs if self._acts[p]) for arcs in net.inputs]
-        self._by_event = {
-            t: p
-            for t, transition in enumerate(net.transitions)
-            if transition.timed and transition.name in plan.events
-            for p, _ in self._robots_of[t]
-        }
-        self._classical = timing is None
-        self._timing: Dict[int, PlaceTiming] = {}
-        if timing is not None:
-            self._timing = {
-                p: self._of_team(timing, place.name)
-                for p, place in enumerate(net.places)
-                if self._acts[p]
-            }
+        self._timing = {p: self._of_team(p) for p in rules.visits[0]}
         self._failures = {p: self._failure(p) for p in self._timing}
-        self._outlives_robots = not self._classical and not all(self._robots_of)
+        self._outlives_robots = not self._rules.classical and not all(self._rules.robots_of)
         self._late = {p for p in self._timing if self._takes_time(p) or self._ends_at_once(p)}
-        self._keeps_draws = not self._classical and any(
-            self._robots_of[t]
-            and not self._changes[t]
+        self._keeps_draws = not self._rules.classical and any(
+            self._rules.robots_of[t]
+            and not rules.resets[t]
             and self._is_asked_for(t)
-            and not any(self._races(p) for p, _ in self._robots_of[t])
+            and not any(self._races(p) for p, _ in self._rules.robots_of[t])
             for t in range(len(net.transitions))
         )
         self._columns: Dict[int, PlaceColumns] = {}
@@ -141,44 +126,38 @@ class _Compiler:
         self._splits: Dict[str, str] = {}
         for p in self._columns:
             name = net.places[p].name
-            if timing is not None and name in timing.splits:
-                self._splits[name] = timing.splits[name]
+            if name in splits:
+                self._splits[name] = splits[name]
             elif self._failures.get(p):
                 self._splits[name] = "an attempt at its action can fail"
 
     # -- places ------------------------------------------------------------------------------------
 
-    def _of_team(self, timing: PlanTiming, place: str) -> PlaceTiming:
-        """The timing of a place for every robot, since states do not distinguish robots."""
-        p = self._plan.net.place_number(place)
-        team = timing.of("", p)
-        own = [timing.of(robot.name, p) for robot in self._plan.robots]
+    def _of_team(self, p: int) -> PlaceVisit:
+        """What every robot does in a place, since states do not distinguish robots."""
+        rules = self._rules
+        team = rules.visits[0][p]
+        own = Counter(rules.visits[kind][p] for kind in rules.kind_of)
         if any(one != team for one in own):
-            team = max(own, key=own.count)
-            if any(one != team for one in own):
+            ((team, _),) = own.most_common(1)
+            if len(own) > 1:
                 self._assumptions.append(
                     "every robot in %s does what most of them do there, since states do not "
-                    "distinguish robots (the simulation does)" % place
+                    "distinguish robots (the simulation does)" % self._net.places[p].name
                 )
-        default = unnamed(self._plan, p)
         asked: Dict[int, float] = {}
-        for t, v in team.outcomes:
-            t = default if t == POLICY else t
+        for t, v in team.asks:
             asked[t] = asked.get(t, 0) + v
-        return team._replace(outcomes=tuple(asked.items()))
-
-    def _of_action(self, p: int) -> List[int]:
-        """The transitions that leave place ``p`` without an event."""
-        return [t for t in self._net.consumers[p] if t not in self._by_event]
+        return team._replace(asks=tuple(asked.items()))
 
     def _only_events(self, p: int) -> bool:
         """Whether nothing but events takes a robot out of place ``p``."""
-        return not self._of_action(p) and all(t == POLICY for t, _ in self._timing[p].outcomes)
+        return not self._rules.of_action(p) and all(t == POLICY for t, _ in self._timing[p].asks)
 
     def _outcomes(self, p: int) -> Shares:
         """The requests of a robot whose action in place ``p`` succeeded; empty if the action never
         says what is possible."""
-        if self._classical:
+        if self._rules.classical:
             return ((POLICY, 1.0),)
         possible = self._possible(p)
         total = sum(v for _, v in possible)
@@ -186,17 +165,13 @@ class _Compiler:
 
     def _possible(self, p: int) -> List[Tuple[int, float]]:
         """Those of the plan's outcomes in place ``p`` that say what is possible there."""
-        consumers = self._net.consumers[p]
-        return [
-            (t, v) for t, v in self._timing[p].outcomes if v > 0 and (t == POLICY or t in consumers)
-        ]
+        return [(t, v) for t, v in self._timing[p].asks if t != NO_REQUEST]
 
     def _failure(self, p: int) -> float:
         """The probability that an attempt in place ``p`` fails: it is cut off, or does not succeed,
         or says nothing that is possible."""
         succeeds = 1.0 - self._timing[p].failure
-        if self._net.consumers[p]:
-            succeeds *= min(sum(v for _, v in self._possible(p)), 1.0)
+        succeeds *= min(sum(v for _, v in self._possible(p)), 1.0)
         failure = 1.0 - (1.0 - self._cut_off(p)) * succeeds
         return failure if failure > _NEVER else 0.0
 
@@ -210,19 +185,11 @@ class _Compiler:
 
     def _failure_leads_on(self, p: int) -> bool:
         """Whether a failure in place ``p`` has another effect than that the robot stays there."""
-        return self._failures[p] > 0 and (self._stops(p) or self._fallback(p) >= 0)
-
-    def _rule(self, p: int) -> FailureRule:
-        return self._plan.failure_rule(self._net.places[p].name)
+        return self._failures[p] > 0 and (self._stops(p) or self._timing[p].fallback >= 0)
 
     def _stops(self, p: int) -> bool:
         """Whether a failure in place ``p`` stops the team."""
-        return self._failures[p] > 0 and self._rule(p).end is FailureEnd.STOP
-
-    def _fallback(self, p: int) -> int:
-        """The transition that a robot in place ``p`` asks for when its action has failed; -1: it
-        asks for none."""
-        return self._plan.fallback(self._plan.net.place_number(self._net.places[p].name))
+        return self._failures[p] > 0 and self._timing[p].rule.end is FailureEnd.STOP
 
     def _races(self, p: int) -> bool:
         """Whether place ``p`` is not split although its action takes time: what leaves it needs
@@ -231,18 +198,17 @@ class _Compiler:
         return (
             timing.duration.mean > 0
             and (self._exponential or _is_exponential(timing.duration))
-            and bool(timing.outcomes)
             and not self._failures[p]
-            and all(t != POLICY for t, v in timing.outcomes if v > 0)
+            and all(t >= 0 for t, _ in timing.asks)
             and all(
                 self._net.transitions[t].timed and self._net.fires_alone(t, p)
-                for t in {*self._of_action(p), *(t for t, v in self._outcomes(p) if v > 0)}
+                for t in {*self._rules.of_action(p), *(t for t, _ in timing.asks)}
             )
         )
 
     def _is_asked_for(self, t: int) -> bool:
         """Whether a robot ever asks for transition ``t``; if not, only its event fires it."""
-        p = self._by_event.get(t)
+        p = self._rules.interrupted.get(t)
         return p is None or any(asked == t for asked, _ in self._outcomes(p))
 
     def _takes_time(self, p: int) -> bool:
@@ -252,18 +218,17 @@ class _Compiler:
     def _ends_at_once(self, p: int) -> bool:
         """Whether robots in place ``p`` have an action that takes no time. They are done one after
         the other, when the others have moved; without an action they are done on arrival."""
-        name = self._net.places[p].name
         return (
             not self._stays_whole(p)
             and self._timing[p].duration.mean == 0
-            and self._plan.actions.get(name, True) is not None
+            and not self._timing[p].idle
         )
 
     def _stays_whole(self, p: int) -> bool:
         """Whether nothing is to be known of the robots in place ``p`` but how many they are."""
-        if not self._acts[p]:
+        if not self._rules.acts[p]:
             return True
-        if self._classical:
+        if self._rules.classical:
             return all(self._net.transitions[t].timed for t in self._net.consumers[p])
         if self._failure_leads_on(p):
             return False
@@ -277,7 +242,7 @@ class _Compiler:
     def _waits_for_partners(self, p: int, t: int) -> bool:
         """Whether transition ``t``, drawn in place ``p``, may have to wait for a partner that is
         still doing."""
-        return any(q in self._late and (q != p or w > 1) for q, w in self._robots_of[t])
+        return any(q in self._late and (q != p or w > 1) for q, w in self._rules.robots_of[t])
 
     def _lay_out(self, with_phases: bool) -> None:
         width = 0
@@ -288,7 +253,7 @@ class _Compiler:
             if self._stays_whole(p):
                 self._whole[p] = width
                 width += 1
-            elif not self._classical and self._races(p):
+            elif not self._rules.classical and self._races(p):
                 self._whole[p] = width
                 rate = 1.0 / self._timing[p].duration.mean
                 rates = tuple((t, rate * v) for t, v in self._outcomes(p))
@@ -320,8 +285,8 @@ class _Compiler:
             attempts.append(TimedAttempt(doing, phases.rates, following, duration, what))
             entries.append(tuple((doing[phase], v) for phase, v in phases.start))
             exits.append([column for column, f in zip(doing, following) if f < 0])
-        failure = self._failures[p] if tries else float(not self._classical and not outcomes)
-        fallback = self._fallback(p) if failure else -1
+        failure = self._failures[p] if tries else float(not self._rules.classical and not outcomes)
+        fallback = self._timing[p].fallback if failure else -1
         asked = [t for t, _ in outcomes if t != POLICY]
         if fallback >= 0 and fallback not in asked:
             asked.append(fallback)
@@ -375,7 +340,7 @@ class _Compiler:
         whether a robot goes on trying after the last of them. Empty if there is no action."""
         if p not in self._late:
             return [], False
-        timing, rule = self._timing[p], self._rule(p)
+        timing, rule = self._timing[p], self._timing[p].rule
         first, what = timing.duration, timing.duration.describe()
         plain = number_of_phases(first) if first.mean > 0 else 1
         if self._cut_off(p):
@@ -436,55 +401,47 @@ class _Compiler:
 
     def run_net(self) -> RunNet:
         """The run net."""
-        plan, net = self._plan, self._net
+        net = self._net
         numbers = range(len(net.transitions))
-        immediate = [t for t in numbers if not net.transitions[t].timed]
         begin: List[Tuple[List[int], float]] = [([0] * self._parts[-1][1], 1.0)]
         for p, place in enumerate(net.places):
             begin = spread(begin, self._entry(p), place.tokens)
         return RunNet(
-            plan,
-            net,
-            self._counters,
-            self._classical,
-            self._timing,
-            self._acts,
-            [-1 if t.timed else t.priority for t in net.transitions],
-            parse_condition(plan.until, [p.name for p in net.places]) if plan.until else None,
-            PolicyDraws(plan, net),
-            self._columns,
-            self._whole,
-            self._parts,
-            self._stopped,
-            self._inactive() if self._outlives_robots else (),
-            [(tuple(counts), v) for counts, v in begin],
-            self._racing,
-            self._by_event,
-            [
+            **vars(self._rules),
+            timing=self._timing,
+            draws=PolicyDraws(self._rules.plan, net),
+            columns=self._columns,
+            whole=self._whole,
+            parts=self._parts,
+            stopped=self._stopped,
+            inactive=self._inactive() if self._outlives_robots else (),
+            begin=[(tuple(counts), v) for counts, v in begin],
+            racing=self._racing,
+            interrupts=[
                 EventClock(t, net.transitions[t].number, tuple(range(*self._parts[p])))
-                for t, p in self._by_event.items()
+                for t, p in self._rules.interrupted.items()
             ],
-            [self._race(t) for t in numbers if self._is_race(t)],
-            [t for t in immediate if not self._robots_of[t]],
-            [self._takes(t) for t in numbers],
-            {t for t in numbers if any(p in self._whole for p, _ in self._robots_of[t])},
-            [self._moves(t) for t in numbers],
-            [[(entry, w) for entry, w in self._puts(t) if len(entry) > 1] for t in numbers],
-            [True] * len(numbers) if self._classical else self._changes,
-            self._keeps_draws,
-            {p: self._watched_from(p) for p in self._late},
-            self._splits,
-            self._assumptions,
+            races=[self._race(t) for t in numbers if self._is_race(t)],
+            takes=[self._takes(t) for t in numbers],
+            never={
+                t for t in numbers if any(p in self._whole for p, _ in self._rules.robots_of[t])
+            },
+            moves=[self._moves(t) for t in numbers],
+            spreads=[[(entry, w) for entry, w in self._puts(t) if len(entry) > 1] for t in numbers],
+            keeps_draws=self._keeps_draws,
+            watching={p: self._watched_from(p) for p in self._late},
+            splits=self._splits,
+            assumptions=self._assumptions,
         )
 
     def _is_race(self, t: int) -> bool:
         """Whether exponential transition ``t`` fires at the rate that the marking gives it."""
-        if not self._net.transitions[t].timed or t in self._by_event:
-            return False
-        return self._classical or not self._robots_of[t]
+        if self._rules.classical:
+            return self._net.transitions[t].timed and t not in self._rules.interrupted
+        return t in self._rules.environment
 
     def _race(self, t: int) -> Race:
-        robots = self._robots_of[t]
+        robots = self._rules.robots_of[t]
         return Race(
             t,
             tuple((self._whole[p], w) for p, w in robots if p in self._whole),
@@ -501,7 +458,7 @@ class _Compiler:
                 self._columns[p].named.get(t, -1),
                 () if timed else self._columns[p].at_policy,
             )
-            for p, w in self._robots_of[t]
+            for p, w in self._rules.robots_of[t]
             if p in self._columns
         )
 
@@ -509,7 +466,7 @@ class _Compiler:
         return [(self._entry(p), w) for p, w in self._net.outputs[t]]
 
     def _moves(self, t: int) -> List[Tuple[int, int]]:
-        taken = [(self._whole[p], -w) for p, w in self._net.inputs[t] if not self._acts[p]]
+        taken = [(self._whole[p], -w) for p, w in self._net.inputs[t] if not self._rules.acts[p]]
         return taken + [(entry[0][0], w) for entry, w in self._puts(t) if len(entry) == 1]
 
     def _watched_from(self, p: int) -> List[int]:
@@ -521,7 +478,7 @@ class _Compiler:
             if columns.asking >= 0
             and any(
                 not self._net.transitions[t].timed
-                and any(r == p and (q != p or w > 1) for r, w in self._robots_of[t])
+                and any(r == p and (q != p or w > 1) for r, w in self._rules.robots_of[t])
                 for t in self._net.consumers[q]
             )
         ]
@@ -531,13 +488,11 @@ def _is_exponential(duration: Duration) -> bool:
     return number_of_phases(duration) == 1 and duration.branches is not None
 
 
-def _net_of(plan: Plan, left_out: Sequence[str]) -> Net:
-    """The net of a plan for analysis: without the places ``left_out``. The exponential transitions
-    that leave action places get as many servers as there are robots."""
-    net = plan.net.without_places(left_out)
-    acts = {p for p, place in enumerate(net.places) if place.name not in plan.resource_places}
+def _net_of(rules: PlanRules) -> Net:
+    """The net of a plan for analysis: the exponential transitions that leave action places get as
+    many servers as there are robots."""
     transitions = [
-        t._replace(servers=None) if t.timed and any(p in acts for p, _ in net.inputs[i]) else t
-        for i, t in enumerate(net.transitions)
+        t._replace(servers=None) if t.timed and robots else t
+        for t, robots in zip(rules.net.transitions, rules.robots_of)
     ]
-    return Net(net.places, transitions, net.arcs, net.name)
+    return Net(rules.net.places, transitions, rules.net.arcs, rules.net.name)

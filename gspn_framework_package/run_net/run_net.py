@@ -20,12 +20,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import List, Mapping, Optional, Sequence, Set, Tuple
+from typing import List, Mapping, Sequence, Set, Tuple
 
-from gspn_framework_package.model.condition import Condition
-from gspn_framework_package.model.net import Marking, Net
-from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.model.plan_timing import PlaceTiming
+from gspn_framework_package.model.net import Marking
+from gspn_framework_package.model.plan_timing import PlaceVisit, PlanRules
 from gspn_framework_package.run_net.columns import (
     EventClock,
     PlaceColumns,
@@ -41,18 +39,10 @@ State = Tuple[int, ...]
 
 
 @dataclass(frozen=True)
-class RunNet:
-    """A plan, compiled (``compiling.compile_plan``).
+class RunNet(PlanRules):
+    """A plan, compiled (``compiling.compile_plan``): the rules, and the columns made of them.
 
-    :ivar plan: the plan.
-    :ivar net: its net without the counters that nothing reads (``counters``). All numbers of places
-        and transitions here are those of this net.
-    :ivar classical: whether this is the classical reading.
-    :ivar timing: action place -> its timing, the same for every robot; empty in the classical
-        reading.
-    :ivar acts: for each place whether its tokens are robots.
-    :ivar urgency: for each transition its priority; -1 if it is exponential.
-    :ivar until: the condition that ends the run, or None.
+    :ivar timing: action place -> what every robot does there; empty in the classical reading.
     :ivar draws: what robots at the policy draw from.
     :ivar columns: the columns of each place that is split.
     :ivar whole: the column of each other place.
@@ -62,10 +52,8 @@ class RunNet:
         a run ends when all are.
     :ivar begin: the states that a run begins in, with probabilities.
     :ivar racing: the places that are not split although actions there take time.
-    :ivar interrupted: the transitions by which events interrupt robots -> the place of the robot.
-    :ivar interrupts: these events.
+    :ivar interrupts: the events that interrupt robots.
     :ivar races: exponential transitions with rates by the marking.
-    :ivar spontaneous: immediate transitions that only take resources.
     :ivar takes: for each transition the robots that it takes where one asks for it, by place.
     :ivar never: the transitions for which no robot can ever ask: one of those that they need is
         always doing.
@@ -73,8 +61,6 @@ class RunNet:
         (column, change). Robots that it takes from split places are not among them.
     :ivar spreads: for each transition the robots that it puts into columns by chance: pairs
         (columns with probabilities, robots).
-    :ivar resets: for each transition whether its firing ends the draws of all robots: a firing
-        that changes the marking does.
     :ivar keeps_draws: whether a transition moves robots in zero time without ending draws, so that
         every draw has to be known.
     :ivar watching: for a place in which robots get done, the places in which that can change what
@@ -83,14 +69,7 @@ class RunNet:
     :ivar assumptions: what had to be assumed: sentences for people.
     """
 
-    plan: Plan
-    net: Net
-    counters: Tuple[str, ...]
-    classical: bool
-    timing: Mapping[int, PlaceTiming]
-    acts: Sequence[bool]
-    urgency: Sequence[int]
-    until: Optional[Condition]
+    timing: Mapping[int, PlaceVisit]
     draws: PolicyDraws
     columns: Mapping[int, PlaceColumns]
     whole: Mapping[int, int]
@@ -99,15 +78,12 @@ class RunNet:
     inactive: Tuple[int, ...]
     begin: Sequence[Tuple[State, float]]
     racing: Sequence[Racing]
-    interrupted: Mapping[int, int]
     interrupts: Sequence[EventClock]
     races: Sequence[Race]
-    spontaneous: Sequence[int]
     takes: Sequence[Tuple[Taking, ...]]
     never: Set[int]
     moves: Sequence[Sequence[Tuple[int, int]]]
     spreads: Sequence[Sequence[Tuple[Shares, int]]]
-    resets: Sequence[bool]
     keeps_draws: bool
     watching: Mapping[int, Sequence[int]]
     splits: Mapping[str, str] = field(default_factory=dict)

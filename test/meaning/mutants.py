@@ -21,7 +21,7 @@ from gspn_framework_package.analysis.simulation import (
 from gspn_framework_package.analysis.state_space import rated_graph
 from gspn_framework_package.execution import environment, token_game, turn, virtual_time
 from gspn_framework_package.execution import rules as run_queries
-from gspn_framework_package.model import net, plan, policy, policy_cell
+from gspn_framework_package.model import net, plan, plan_timing, policy, policy_cell
 from gspn_framework_package.run_net import compiling, requests, run_net, steps
 from meaning.mutant import Mutant
 
@@ -134,7 +134,7 @@ _TABLE: Sequence[Any] = (
         "shared",
         "exponential ones are as urgent",
         ["spontaneous_first"],
-        (C.run_net, "[-1 if t.timed else t.priority for", "[t.priority for"),
+        (plan_timing.rules_of, "[-1 if t.timed else t.priority for", "[t.priority for"),
     ),
     (
         "urgency",
@@ -640,9 +640,9 @@ _TABLE: Sequence[Any] = (
         "what adds to them changes nothing",
         ["counters"],
         (
-            C.__init__,
-            "bool(plan.net.effect(t)) for t in range(len(net.transitions))",
-            "bool(net.effect(t)) for t in range(len(net.transitions))",
+            plan_timing.rules_of,
+            "bool(plan.net.effect(t)) for t in numbers",
+            "bool(net.effect(t)) for t in numbers",
         ),
     ),
     # -- partners
@@ -957,7 +957,7 @@ _TABLE: Sequence[Any] = (
         "chain",
         "done on arrival",
         ["timeless_actions", "held_draws"],
-        (C._ends_at_once, "self._plan.actions.get(name, True) is not None", "False"),
+        (C._ends_at_once, "not self._timing[p].idle", "False"),
     ),
     (
         "actions without time",

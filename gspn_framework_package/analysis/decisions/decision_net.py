@@ -138,7 +138,6 @@ class DecisionNet:
         self._plan = plan = run_net.plan
         self._deciders = deciders
         self._source = run_net.net
-        self._acts = run_net.acts
         self._events = run_net.interrupted
         self._races = {race.transition for race in run_net.races}
         self._racing = {racing.column: dict(racing.rates) for racing in run_net.racing}
@@ -157,7 +156,7 @@ class DecisionNet:
         self.resting: List[str] = []
         self._stopped = self._place("(stopped)", -1) if run_net.stopped >= 0 else ""
         self._split: Dict[int, _Parts] = {
-            p: self._lay_out(p) for p in range(len(self._source.places)) if self._acts[p]
+            p: self._lay_out(p) for p in range(len(self._source.places)) if run_net.acts[p]
         }
         for t in range(len(self._source.transitions)):
             self._add_transition(t)
@@ -333,9 +332,8 @@ class DecisionNet:
     def _add_transition(self, t: int) -> None:
         """Add transition ``t`` of the plan's net, once for each way in which robots can ask for
         it."""
-        net = self._source
-        transition = net.transitions[t]
-        robots = [(p, w) for p, w in net.inputs[t] if self._acts[p]]
+        transition = self._source.transitions[t]
+        robots = self._run_net.robots_of[t]
         if not robots:
             step = Stage.TIMED if transition.timed else Stage.SPONTANEOUS
             self._fire(step, t, {})
@@ -478,7 +476,7 @@ class DecisionNet:
         net."""
         if self._run_net.classical:
             return True
-        names = [self._source.places[p].name for p, _ in self._source.inputs[t] if self._acts[p]]
+        names = [self._source.places[p].name for p, _ in self._run_net.robots_of[t]]
         return not any(p in self._plan.durations or p in self._plan.outcomes for p in names)
 
     def _add_ends(self, p: int, parts: _Parts) -> None:

@@ -30,7 +30,7 @@ from gspn_framework_package.analysis.decisions.aims import Aim, Objective
 from gspn_framework_package.analysis.decisions.automaton import WAIT, Rewards
 from gspn_framework_package.analysis.decisions.decision_net import Stage
 from gspn_framework_package.analysis.decisions.export import Decided
-from gspn_framework_package.analysis.decisions.playing import Answers
+from gspn_framework_package.analysis.decisions.playing import answers_of
 from gspn_framework_package.analysis.decisions.problem import SizedTeam
 from gspn_framework_package.analysis.decisions.solving.evaluation import Evaluated, evaluate_policy
 from gspn_framework_package.analysis.decisions.solving.graphs import reaching, rows_toward
@@ -129,7 +129,7 @@ def present_choices(team: SizedTeam) -> Decided:
     table = _Table(team)
     problem = team.problem
     net = problem.plan.net
-    told = Answers(problem.plan, problem.plan.policy, problem.stages)
+    told = answers_of(problem.plan, problem.plan.policy, problem.stages)
     states = team.states_in[_first_states(team)]
     chosen: List[Dict[int, float]] = [{} for _ in range(len(team.distinct))]
     for p in table.asking:

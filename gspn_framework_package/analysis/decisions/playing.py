@@ -33,21 +33,16 @@ class Play(NamedTuple):
     unsettled: Booleans
 
 
-class Answers:
-    """The answer to a robot that asks for a decision; made from a policy."""
+def answers_of(plan: Plan, policy: Policy, stages: Stages) -> PolicyAnswers:
+    """The answers of a policy to a robot that asks for a decision. Where it says nothing, the
+    weights of the net decide, or nothing if the plan is strict."""
 
-    def __init__(self, plan: Plan, policy: Policy, stages: Stages) -> None:
-        def counts(p: int, states: Indices) -> Indices:
-            q = stages.net.place_of[p]
-            tokens = plan.net.places[p].tokens
-            return stages.space.column(q, states) if q >= 0 else np.full(len(states), tokens)
+    def counts(p: int, states: Indices) -> Indices:
+        q = stages.net.place_of[p]
+        tokens = plan.net.places[p].tokens
+        return stages.space.column(q, states) if q >= 0 else np.full(len(states), tokens)
 
-        self._rows = PolicyAnswers(plan.net, policy, counts)
-
-    def of(self, place: int, states: Indices) -> Tuple[Indices, List[Choices]]:
-        """The number of the answer to a robot in ``place`` for each of ``states``, and the answers.
-        The first stands for the weights of the net, or nothing if the plan is strict."""
-        return self._rows.of(place, states)
+    return PolicyAnswers(plan.net, policy, counts)
 
 
 class DecidedAnswers:
@@ -63,7 +58,7 @@ class DecidedAnswers:
         self._kinds = kinds
 
     def of(self, place: int, states: Indices) -> Tuple[Indices, List[Choices]]:
-        """As :meth:`Answers.of`; the first answer is not used."""
+        """As :meth:`PolicyAnswers.of`; the first answer is not used."""
         mine = self._net.immediate_from[place]
         numbers: Dict[Choices, int] = {}
         answers: List[Choices] = [()]
@@ -100,7 +95,7 @@ class _Askers(NamedTuple):
 
 def play_answers(
     plan: Plan,
-    answers: Union[Answers, DecidedAnswers],
+    answers: Union[PolicyAnswers, DecidedAnswers],
     stages: Stages,
     draws_last: bool,
 ) -> Play:
@@ -116,7 +111,7 @@ class _Player:
     def __init__(
         self,
         plan: Plan,
-        answers: Union[Answers, DecidedAnswers],
+        answers: Union[PolicyAnswers, DecidedAnswers],
         stages: Stages,
         draws_last: bool,
     ) -> None:

@@ -30,9 +30,9 @@ from gspn_framework_package.analysis.decisions.building import (
 from gspn_framework_package.analysis.decisions.decision_net import DecisionNet, Stage
 from gspn_framework_package.analysis.decisions.playing import (
     ROUNDING,
-    Answers,
     DecidedAnswers,
     Play,
+    answers_of,
     play_answers,
 )
 from gspn_framework_package.analysis.decisions.safety import Safety
@@ -481,7 +481,7 @@ class DecisionProblem:
     def _play(self, policy: Policy) -> Play:
         found = self._plays.get(policy)
         if found is None:
-            answers = Answers(self._largest, policy, self.stages)
+            answers = answers_of(self._largest, policy, self.stages)
             found = play_answers(self._largest, answers, self.stages, not self._run_net.classical)
             self._plays = {policy: found}
         return found

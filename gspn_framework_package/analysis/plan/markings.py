@@ -10,6 +10,7 @@ transition itself, unless the plan's ``outcomes`` say so).
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Any, Collection, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 import numpy as np
@@ -23,16 +24,11 @@ from gspn_framework_package.analysis.graph import (
 )
 from gspn_framework_package.analysis.plan.edited_nets import with_end, with_losses
 from gspn_framework_package.analysis.plan.policy_answers import PolicyAnswers
-from gspn_framework_package.analysis.plan.structure import (
-    idle_places,
-    may_be_named,
-    requested,
-    terminal_places,
-)
+from gspn_framework_package.analysis.plan.structure import may_be_named, terminal_places
 from gspn_framework_package.analysis.state_space.space import StateSpace, explore
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.model.plan import LostKind, Plan
-from gspn_framework_package.model.plan_timing import POLICY, PlanTiming
+from gspn_framework_package.model.plan_timing import POLICY, PlanRules, PlanTiming, rules_of
 
 
 class Finding(NamedTuple):
@@ -82,7 +78,6 @@ class PlanMarkings:
             net, limit=limit, untimed=True, progress=progress, cancel=cancel, seconds=seconds
         )
         self._table = plan.policy.bind(plan.net)
-        self._timing = PlanTiming(plan)
         self._robots = [
             p for p, place in enumerate(net.places) if place.name not in plan.resource_places
         ]
@@ -313,9 +308,13 @@ class PlanMarkings:
             for state in np.flatnonzero(goes_on)[:1].tolist():
                 yield self._finding(state, p, ways)
 
+    @cached_property
+    def _rules(self) -> PlanRules:
+        return rules_of(self.plan, PlanTiming(self.plan))
+
     def _requests(self) -> Dict[int, Set[int]]:
         """The transitions that robots request by themselves, for each place."""
-        return {p: requested(self.plan, self._timing, self.original(p)) for p in self._robots}
+        return {p: self._rules.requested(self.original(p)) for p in self._robots}
 
     def _certain(self, requests: Dict[int, Set[int]], timeless: List[int]) -> Booleans:
         """The firings that a run can surely make: those that robots request, or that the policy
@@ -323,14 +322,15 @@ class PlanMarkings:
 
         :param requests: the transitions that robots request by themselves, for each place.
         """
-        plan = self.plan
+        kinds = self._rules.visits
         policy_asked = {
-            p: POLICY in dict(self._timing.places[self.original(p)].outcomes) for p in requests
+            p: all(POLICY in dict(visits[self.original(p)].asks) for visits in kinds)
+            for p in requests
         }
         never = [
             t
             for t, transition in enumerate(self.net.transitions[: self._own])
-            if transition.name not in plan.events
+            if t not in self._rules.interrupted
             and any(
                 t not in requests[p] and (transition.timed or not policy_asked[p])
                 for p, _ in self.net.inputs[t]
@@ -409,13 +409,11 @@ class PlanMarkings:
             nothing happens for the time being.
         """
         net, size = self.net, len(self.space)
-        timed = np.array([t.timed for t in net.transitions], dtype=bool)
-        urgency = np.where(timed, -1, [t.priority for t in net.transitions])
+        losses = len(net.transitions) - self._own
+        urgency = np.array([*self._rules.urgency, *[-1] * losses], dtype=np.int64)
         urgency_of = urgency[self.space.transitions]
-        idle = idle_places(self.plan, everybody=True)
-        takes_robots = np.zeros(len(net.transitions), dtype=bool)
-        for p in self._robots:
-            takes_robots[list(net.consumers[p])] = True
+        idle = self._rules.idle_places(everybody=True)
+        takes_robots = np.array([*map(bool, self._rules.robots_of), *[True] * losses], dtype=bool)
         alone = arcs & ~takes_robots[self.space.transitions]
         most = np.full(size, -2)  # the highest urgency that must go first
         np.maximum.at(most, self._sources[alone], urgency_of[alone])

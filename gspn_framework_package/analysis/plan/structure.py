@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Iterable, List, NamedTuple, Optional, Set, Tuple
+from typing import Iterable, List, NamedTuple, Set, Tuple
 
 from gspn_framework_package.model.action import outcomes_of
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import LostKind, Plan
-from gspn_framework_package.model.plan_timing import NO_REQUEST, POLICY, PlanTiming, unnamed
+from gspn_framework_package.model.plan_timing import PlanRules
 from gspn_framework_package.model.policy_cell import cell_fits, ranges
 
 
@@ -54,44 +54,6 @@ def always_leavable(net: Net, place: int) -> bool:
     return any(net.fires_alone(t, place) for t in net.consumers[place])
 
 
-def idle_places(plan: Plan, *, everybody: bool = False) -> Set[int]:
-    """Numbers of the action places in which some robot has no action, so that it is done
-    immediately.
-
-    :param everybody: whether to return only those in which no robot has an action.
-    """
-    every = all if everybody else any
-    found = set()
-    for name in plan.action_places:
-        bound = [robot.actions[name] for robot in plan.robots if name in robot.actions]
-        if name in plan.actions:
-            bound.append(plan.actions[name])
-        if bound and every(action is None for action in bound):
-            found.add(plan.net.place_number(name))
-    return found
-
-
-def asked_at_once(plan: Plan, place: int) -> Optional[int]:
-    """The exponential transition that a robot without an action requests immediately in place
-    number ``place``; None if it requests none."""
-    asked = unnamed(plan, place)
-    if asked == NO_REQUEST:  # the action has failed
-        asked = plan.fallback(place)
-    return asked if asked >= 0 else None
-
-
-def requested(plan: Plan, timing: PlanTiming, place: int) -> Set[int]:
-    """Numbers of the transitions that robots in place number ``place`` request by themselves, not
-    by the policy: what the action may name, according to the plan, or the only exponential one."""
-    outcomes = {t for t, _ in timing.places[place].outcomes}
-    if place in idle_places(plan, everybody=True):
-        outcomes = {POLICY}
-    elif place in idle_places(plan):
-        outcomes.add(POLICY)
-    asked = {unnamed(plan, place) if t == POLICY else t for t in outcomes}
-    return asked.intersection(plan.of_action(place))
-
-
 def may_be_named(plan: Plan, t: int, asking: Iterable[int]) -> bool:
     """Whether the plan says that an action in one of the places numbered ``asking`` may name
     transition number ``t``, or that a robot asks for it when its action fails or another robot is
@@ -110,42 +72,28 @@ def may_be_named(plan: Plan, t: int, asking: Iterable[int]) -> bool:
     )
 
 
-def timeless_transitions(plan: Plan) -> List[int]:
+def timeless_transitions(rules: PlanRules, *, predicted: bool = False) -> List[int]:
     """Numbers of the transitions that can follow another one with no action in between: those that
     take robots only from places where some robot has no action, or, if they are immediate, no
     robot. A robot without an action immediately requests the only exponential transition of its
     place.
+
+    :param predicted: also those that can follow at once in a prediction, which takes the times of
+        actions from the plan: they leave only places whose action takes no time there.
     """
-    net = plan.net
-    idle = idle_places(plan)
-    acts = {net.place_number(name) for name in plan.action_places}
-    at_once = {p: asked_at_once(plan, p) for p in idle}
+    idle = rules.idle_places()
+    at_once = {p for visits in rules.visits for p, v in visits.items() if v.duration.mean == 0}
     found = []
-    for t, transition in enumerate(net.transitions):
-        movers = [p for p, _ in net.inputs[t] if p in acts]
-        if transition.timed:
-            timeless = bool(movers) and all(at_once.get(p) == t for p in movers)
+    for t, robots in enumerate(rules.robots_of):
+        if rules.urgency[t] >= 0:
+            timeless = all(p in idle for p, _ in robots)
         else:
-            timeless = idle.issuperset(movers)
+            timeless = bool(robots) and all(idle.get(p) == t for p, _ in robots)
+        if predicted and robots and t not in rules.interrupted:
+            timeless = timeless or all(p in at_once for p, _ in robots)
         if timeless:
             found.append(t)
     return found
-
-
-def predicted_timeless(plan: Plan) -> List[int]:
-    """Numbers of the transitions that can follow another one at once in a prediction, which takes
-    the times of actions from the plan: those of :func:`timeless_transitions`, and those that leave
-    only places whose action takes no time there (``PlanTiming``)."""
-    net, timing = plan.net, PlanTiming(plan)
-    idle = idle_places(plan)
-    at_once = {p for p, its in timing.places.items() if its.duration.mean == 0 or p in idle}
-    found = set(timeless_transitions(plan))
-    for t, transition in enumerate(net.transitions):
-        movers = [p for p, _ in net.inputs[t] if p in timing.places]
-        event = transition.name in plan.events
-        if movers and not event and at_once.issuperset(movers):
-            found.add(t)
-    return sorted(found)
 
 
 def find_cycle(net: Net, transitions: List[int]) -> List[str]:

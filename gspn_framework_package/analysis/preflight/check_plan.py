@@ -15,6 +15,7 @@ from gspn_framework_package.analysis.preflight.reacting import ReactingChecks
 from gspn_framework_package.analysis.preflight.report import Checklist, PreflightReport, Severity
 from gspn_framework_package.analysis.preflight.structure import StructureChecks
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.plan_timing import PlanTiming, rules_of
 
 if TYPE_CHECKING:
     from gspn_framework_package.analysis.watch import Cancel, Progress
@@ -67,10 +68,11 @@ def check(
         return PreflightReport(
             plan.name, tuple(checklist.items), 0, False, time.perf_counter() - start
         )
-    by_name = NameChecks(plan, checklist)
+    rules = rules_of(plan, PlanTiming(plan))
+    by_name = NameChecks(rules, checklist)
     by_name.look_at_names()
     ReactingChecks(plan, checklist, standalone).look_at_reactions()
-    by_structure = StructureChecks(plan, checklist, standalone)
+    by_structure = StructureChecks(rules, checklist, standalone)
     by_structure.look_at_structure()
     markings = None
     if by_structure.open:

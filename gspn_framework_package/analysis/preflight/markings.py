@@ -11,7 +11,6 @@ import numpy as np
 
 from gspn_framework_package.analysis.plan.markings import Finding, PlanMarkings
 from gspn_framework_package.analysis.plan.structure import (
-    idle_places,
     may_lose_robots,
     robot_flows,
 )
@@ -346,7 +345,7 @@ class MarkingChecks:
 
     def _whose_action_is_missing(self) -> str:
         """The advice for a timeless cycle, if places in it have no action."""
-        idle = idle_places(self.plan)
+        idle = self._structure.rules.idle_places()
         places = dict.fromkeys(p for p in self._structure.cycle if p in self.net.place_index)
         listed = [p for p in places if self.net.place_number(p) in idle]
         return (

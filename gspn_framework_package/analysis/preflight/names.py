@@ -7,14 +7,13 @@ import itertools
 from importlib.util import find_spec
 from typing import Any, Callable, Dict, List, Optional, Sequence, Set
 
-from gspn_framework_package.analysis.plan.structure import idle_places
 from gspn_framework_package.analysis.preflight.report import LISTED, Checklist, Severity, name_list
 from gspn_framework_package.model.action import Action, ServerAction
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Transition
-from gspn_framework_package.model.plan import Plan, Transport
-from gspn_framework_package.model.plan_timing import NO_REQUEST, unnamed
+from gspn_framework_package.model.plan import Transport
+from gspn_framework_package.model.plan_timing import NO_REQUEST, PlanRules
 
 SHARED_EFFORT = 100_000
 """Maximum number of steps of a search for invariants that keep robots from sharing a server."""
@@ -25,11 +24,12 @@ it does, otherwise an error message."""
 
 
 class NameChecks:
-    """Adds the findings from the names and maps of ``plan`` to a checklist."""
+    """Adds the findings from the names and maps of a plan to a checklist."""
 
-    def __init__(self, plan: Plan, checklist: Checklist) -> None:
-        self.plan = plan
-        self.net = plan.net
+    def __init__(self, rules: PlanRules, checklist: Checklist) -> None:
+        self._rules = rules
+        self.plan = rules.plan
+        self.net = rules.net
         self._list = checklist
 
     def look_at_names(self) -> None:
@@ -209,14 +209,10 @@ class NameChecks:
     def _look_at_idle_places(self) -> None:
         """Refuse places without an action that have several exponential outputs and no other:
         nothing decides which of them a robot requests, so it fails there at once."""
-        for p in sorted(idle_places(self.plan)):
+        for p, asked in self._rules.idle_places().items():
             name = self.net.places[p].name
             leaving = self._of_action(name)
-            if (
-                name in self.plan.actions
-                and unnamed(self.plan, p) == NO_REQUEST
-                and self.plan.fallback(p) < 0
-            ):
+            if name in self.plan.actions and asked == NO_REQUEST:
                 self._list.add(
                     "unasked",
                     Severity.REFUSED,
@@ -243,7 +239,7 @@ class NameChecks:
             t.timed and not acts.intersection(p for p, _ in net.inputs[number])
             for number, t in enumerate(net.transitions)
         )
-        if acts and acts == idle_places(plan, everybody=True) and not takes_time:
+        if acts and acts == set(self._rules.idle_places(everybody=True)) and not takes_time:
             self._list.add(
                 "ends_at_once",
                 Severity.REFUSED,

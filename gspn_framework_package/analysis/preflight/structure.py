@@ -9,20 +9,19 @@ from gspn_framework_package.analysis.plan.structure import (
     PolicyCover,
     always_leavable,
     find_cycle,
-    idle_places,
     places_in_cycles,
-    predicted_timeless,
     robot_flows,
     terminal_places,
     timeless_transitions,
 )
 from gspn_framework_package.analysis.preflight.report import Checklist, Severity, name_list
-from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.plan_timing import PlanRules
 
 
 class StructureChecks:
-    """Adds the findings from the structure of ``plan`` to a checklist.
+    """Adds the findings from the structure of a plan to a checklist.
 
+    :ivar rules: what the plan means for each of its robots.
     :ivar open: the questions that only markings can decide.
     :ivar unbalanced: numbers of the transitions that would create or destroy robots.
     :ivar timeless: numbers of the transitions that may follow each other in zero time.
@@ -31,8 +30,9 @@ class StructureChecks:
     :ivar resource_bounds: the bounds of the other resource places, as far as known.
     """
 
-    def __init__(self, plan: Plan, checklist: Checklist, standalone: bool) -> None:
-        self.plan = plan
+    def __init__(self, rules: PlanRules, checklist: Checklist, standalone: bool) -> None:
+        self.rules = rules
+        self.plan = plan = rules.plan
         self.net = plan.net
         self.standalone = standalone
         self.open: List[str] = []
@@ -91,7 +91,7 @@ class StructureChecks:
             )
 
     def _look_at_cycles(self) -> None:
-        self.timeless = timeless_transitions(self.plan)
+        self.timeless = timeless_transitions(self.rules)
         cycle = find_cycle(self.net, self.timeless)
         if not cycle:
             self._list.add(
@@ -113,8 +113,8 @@ class StructureChecks:
 
     def _look_at_predictions(self) -> None:
         """Warn of a cycle that takes time in a run but none in a prediction."""
-        idle = idle_places(self.plan, everybody=True)
-        cyclic = places_in_cycles(self.net, predicted_timeless(self.plan)) - idle
+        cyclic = places_in_cycles(self.net, timeless_transitions(self.rules, predicted=True))
+        cyclic.difference_update(self.rules.idle_places(everybody=True))
         acting = [p for p in self.plan.action_places if self.net.place_number(p) in cyclic]
         if acting:
             self._list.add(

@@ -1006,12 +1006,12 @@ class Durations(NamedTuple):
 
 
 class OutcomeArrays(NamedTuple):
-    """What robots ask for when they are done, as lists."""
+    """What robots ask for when they are done, as lists; the first is that of a robot without an
+    action."""
 
     outcome_from: Any
     outcome_list: Any
     outcome_chance: Any
-    null_list: Any
 
 
 class Failures(NamedTuple):
@@ -1256,7 +1256,7 @@ def serve_pending(
     _, _, _, _, _, list_group, joins_from, joins = arcs
     _, _, _, _, _, _, _, waits = lists
     timing_of, part_from, _, _, part_kind, _, _, _, _ = durations
-    _, _, _, null_list = outcomes
+    outcome_from, outcome_list, _ = outcomes
     at, phase, kind, tried, _, _, visit_from = robots
     pending_robot, pending_what, heap, queue_tag, queue_robot, arrivals, _ = calendar
     status = GOING
@@ -1282,7 +1282,7 @@ def serve_pending(
             what = STARTS
             if part_kind[part_from[timing]] == NULL_ACTION:
                 what = IS_DONE
-                wish = null_list[timing]
+                wish = outcome_list[outcome_from[timing]]
         elif what == ENDS:
             wish = result(timing, outcomes, failures, random)
             what = FAILS if wish == FAILED_ACTION else IS_DONE
@@ -1334,7 +1334,7 @@ def serve_pending(
 
 def result(timing: int, outcomes: OutcomeArrays, failures: Failures, random: Indices) -> int:
     """The list that a robot asks for at the end of its action, or FAILED_ACTION."""
-    outcome_from, outcome_list, outcome_chance, _ = outcomes
+    outcome_from, outcome_list, outcome_chance = outcomes
     failure, _, _, _, _, _ = failures
     if failure[timing] > 0.0 and draw_uniform(random) < failure[timing]:
         return FAILED_ACTION

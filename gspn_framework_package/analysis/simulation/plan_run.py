@@ -181,7 +181,7 @@ def _new_state(tables: PlanTables) -> kernel.PlanState:
     net, room = tables.net, tables.room
     places, transitions = len(net.places), len(net.transitions)
     groups, lists = transitions + places, len(tables.arcs) + places
-    marking = [place.tokens if tables.is_resource[p] else 0 for p, place in enumerate(net.places)]
+    marking = [0 if tables.means.acts[p] else place.tokens for p, place in enumerate(net.places)]
     for robot in tables.plan.robots:
         marking[net.place_index[robot.place]] += 1
     robots, members = _first_robots(tables)
@@ -227,7 +227,7 @@ def _first_numbers(tables: PlanTables) -> Any:
     numbers[kernel.ENVIRONMENT_DIRTY] = 1
     numbers[kernel.LOST] = -1
     numbers[kernel.FREE] = tables.room - count
-    numbers[kernel.CHANGED] = len(tables.spontaneous)
+    numbers[kernel.CHANGED] = len(tables.means.spontaneous)
     return numbers
 
 
@@ -236,7 +236,7 @@ def _first_robots(tables: PlanTables) -> Tuple[kernel.Robots, kernel.Members]:
     count = len(robots)
     at, kind, active, active_at, free = (whole_numbers(room) for _ in range(5))
     at[:count] = [tables.net.place_index[robot.place] for robot in robots]
-    kind[:count] = tables.class_of
+    kind[:count] = tables.means.kind_of
     active[:count] = active_at[:count] = np.arange(count)
     free[: room - count] = np.arange(room - 1, count - 1, -1)
     return (
@@ -287,7 +287,7 @@ def _first_calendar(tables: PlanTables) -> kernel.Calendar:
 
 
 def _first_chance(tables: PlanTables, marking: Sequence[int]) -> kernel.Chance:
-    transitions, spontaneous = len(tables.net.transitions), tables.spontaneous
+    transitions, spontaneous = len(tables.net.transitions), tables.means.spontaneous
     changed, is_changed = whole_numbers(transitions), whole_numbers(transitions)
     changed[: len(spontaneous)] = spontaneous
     is_changed[spontaneous] = 1

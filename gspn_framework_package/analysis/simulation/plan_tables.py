@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
+from dataclasses import replace
+from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -18,11 +19,17 @@ from gspn_framework_package.analysis.simulation.net_arrays import (
     places_read,
 )
 from gspn_framework_package.analysis.simulation.policy_book import policy_book
-from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.duration import Kind
 from gspn_framework_package.model.failure import FailureEnd
 from gspn_framework_package.model.plan import LostKind, Plan
-from gspn_framework_package.model.plan_timing import POLICY, PlaceTiming, PlanTiming, unnamed
+from gspn_framework_package.model.plan_timing import (
+    FOR_GOOD,
+    NO_REQUEST,
+    POLICY,
+    PlaceVisit,
+    PlanTiming,
+    rules_of,
+)
 
 MOST_AGENTS = 10_000
 """Most agents in a run that creates them."""
@@ -50,6 +57,7 @@ class PlanTables:
     :param timing: durations, outcomes and failures.
     :param until: the condition that ends a run, or None.
     :param losses: rate (1/s) at which each robot is lost.
+    :ivar means: what the plan means for each of its robots.
     :ivar rules: the plan as arrays.
     :ivar book: its policy as arrays.
     """
@@ -57,56 +65,36 @@ class PlanTables:
     def __init__(
         self, plan: Plan, timing: PlanTiming, until: Optional[str] = None, losses: float = 0.0
     ) -> None:
+        self.means = means = rules_of(replace(plan, until=until), timing)
         self.plan = plan
         self.net = net = plan.net
-        transitions = range(len(net.transitions))
-        self.is_resource = [p.name in plan.resource_places for p in net.places]
-        self._arcs_of = [
-            [(p, weight) for p, weight in inputs if not self.is_resource[p]]
-            for inputs in net.inputs
-        ]
-        self.arcs = [(t, p, weight) for t in transitions for p, weight in self._arcs_of[t]]
+        self.arcs = [(t, p, w) for t, robots in enumerate(means.robots_of) for p, w in robots]
         """The arcs by which transitions take robots: transition, place, weight."""
         self.arc_of = {(t, p): arc for arc, (t, p, _) in enumerate(self.arcs)}
         # positions among the counts that transitions test: lists of robots at the policy, and a 0
         self._of_policy = len(net.places) + len(self.arcs)
         self._zero = self._of_policy + len(net.places)
-        self.moves_robots = [bool(arcs) for arcs in self._arcs_of]
-        alone = [t for t in transitions if not self.moves_robots[t]]
-        self.spontaneous = [t for t in alone if not net.transitions[t].timed]
-        self.environment = (
-            [t for t in alone if net.transitions[t].timed]
-            if plan.simulate_environment
-            else [net.transition_number(t) for t in plan.submissions]  # tasks come from outside
-        )
+        self.environment = means.environment
+        if not plan.simulate_environment:  # tasks come from outside
+            self.environment = [net.transition_number(t) for t in plan.submissions]
         ranks = {value: i for i, value in enumerate(sorted({t.priority for t in net.transitions}))}
         self.priority = [ranks[t.priority] for t in net.transitions]
-        self.condition = (
-            None if until is None else parse_condition(until, [p.name for p in net.places])
-        )
-        self._policy = policy_book(
-            plan,
-            [
-                p
-                for p, leaving in enumerate(net.immediate_from)
-                if leaving and not self.is_resource[p]
-            ],
-        )
+        deciding = [p for p, leaving in enumerate(net.immediate_from) if leaving and means.acts[p]]
+        self._policy = policy_book(plan, deciding)
         self.book = self._policy.arrays
-        self.classes, self.class_of = _robot_classes(plan)
         self.losses = losses
-        self.events_at = [
-            [] if self.is_resource[p] else list(timing.events[p]) for p in range(len(net.places))
-        ]
+        self.events_at: List[List[int]] = [[] for _ in net.places]
         """By place: the transitions by which events interrupt robots there."""
+        for t, p in means.interrupted.items():
+            self.events_at[p].append(t)
         self.events = [t for here in self.events_at for t in here]
         creates = any(flow.put > flow.taken for flow in robot_flows(plan))
         self.room = max(MOST_AGENTS, len(plan.robots)) if creates else max(len(plan.robots), 1)
-        self.rules = self._rules(timing)
+        self.rules = self._rules()
 
     # -- rules -------------------------------------------------------------------------------------
 
-    def _rules(self, timing: PlanTiming) -> kernel.PlanArrays:
+    def _rules(self) -> kernel.PlanArrays:
         plan, net = self.plan, self.net
         lost_rule = {LostKind.HOLD: 0, LostKind.STOP: 1, LostKind.FIRE: 2}[plan.on_lost.kind]
         lost_transition = (
@@ -136,11 +124,11 @@ class PlanTables:
                 priority=integers(self.priority),
                 weight=numbers_of(net, range(len(net.transitions))),
             ),
-            visits=kernel.Visits(*self._timings(timing), self._interrupts()),
+            visits=kernel.Visits(*self._timings(), self._interrupts()),
             arcs=self._arc_arrays(),
             changes=self._changes(tests),
             moves=self._movers(),
-            until=kernel.Until(*compile_condition(self.condition)),
+            until=kernel.Until(*compile_condition(self.means.until)),
             losses=self._losses(),
         )
 
@@ -150,7 +138,7 @@ class PlanTables:
         net, zero = self.net, self._zero
         tests = marking_tests(net, t, zero)
         for test, (p, _) in zip(tests, net.inputs[t]):
-            if not self.is_resource[p]:
+            if self.means.acts[p]:
                 policy = zero if net.transitions[t].timed else self._of_policy + p
                 test[:2] = [len(net.places) + self.arc_of[t, p], policy]
         return tests
@@ -162,7 +150,7 @@ class PlanTables:
         rising: List[List[int]] = [[] for _ in net.places]
         falling: List[List[int]] = [[] for _ in net.places]
         for t in transitions:
-            groups = [t] if self.moves_robots[t] else []
+            groups = [t] if self.means.robots_of[t] else []
             if groups and not net.transitions[t].timed:
                 groups += self._policy_groups(t)
             for p, _, sign, _ in tests[t]:
@@ -173,12 +161,12 @@ class PlanTables:
                 rising[q].append(len(net.transitions) + p)
                 falling[q].append(len(net.transitions) + p)
         effect_from, effects = ragged(flattened([net.effect(t) for t in transitions]))
-        spontaneous_from, spontaneous = ragged(self._readers(self.spontaneous, self.spontaneous))
-        environment = self.environment
+        means, environment = self.means, self.environment
+        spontaneous_from, spontaneous = ragged(self._readers(means.spontaneous, means.spontaneous))
         environment_from, its_readers = ragged(self._readers(environment, range(len(environment))))
         until_reads = np.zeros(len(net.places), dtype=np.int64)
-        if self.condition is not None:
-            until_reads[[net.place_index[name] for name in self.condition.places]] = 1
+        if means.until is not None:
+            until_reads[[net.place_index[name] for name in means.until.places]] = 1
         return kernel.ChangeArrays(
             effect_from=effect_from,
             effects=effects,
@@ -233,7 +221,7 @@ class PlanTables:
 
     def _policy_groups(self, t: int) -> List[int]:
         """The groups of the robots at the policy in the places that transition ``t`` leaves."""
-        return [len(self.net.transitions) + p for p, _ in self._arcs_of[t]]
+        return [len(self.net.transitions) + p for p, _ in self.means.robots_of[t]]
 
     def _arc_arrays(self) -> kernel.ArcArrays:
         net = self.net
@@ -241,7 +229,7 @@ class PlanTables:
         leaving_from, leaving = ragged(net.immediate_from)
         joins_from, joins = ragged(self._joins())
         return kernel.ArcArrays(
-            arc_from=np.cumsum([0, *map(len, self._arcs_of)]).astype(np.int64),
+            arc_from=np.cumsum([0, *map(len, self.means.robots_of)]).astype(np.int64),
             arc_place=integers([p for _, p, _ in self.arcs]),
             arc_weight=integers([weight for _, _, weight in self.arcs]),
             leaving_from=leaving_from,
@@ -260,7 +248,7 @@ class PlanTables:
         for p, leaving in enumerate(net.immediate_from):
             groups = [len(net.transitions) + p]
             for t in leaving:
-                if not self.is_resource[p] and self._arcs_of[t] != [(p, 1)]:
+                if self.means.acts[p] and self.means.robots_of[t] != ((p, 1),):
                     groups += [t, *self._policy_groups(t)]
             joins.append(list(dict.fromkeys(groups)))
         return joins
@@ -287,8 +275,8 @@ class PlanTables:
         left: List[List[int]] = []
         surplus: List[int] = []
         for t in range(len(net.transitions)):
-            sources = [p for p, w in net.inputs[t] if not self.is_resource[p] for _ in range(w)]
-            slots = [p for p, w in net.outputs[t] if not self.is_resource[p] for _ in range(w)]
+            sources = [p for p, w in self.means.robots_of[t] for _ in range(w)]
+            slots = [p for p, w in net.outputs[t] if self.means.acts[p] for _ in range(w)]
             routes = routing.get(t, {})
             wants.append([routes.get(p, -1) for p in sources])
             surplus.append(max(len(sources) - len(slots), 0))
@@ -314,42 +302,30 @@ class PlanTables:
 
     # -- durations and outcomes --------------------------------------------------------------------
 
-    def _timings(
-        self, timing: PlanTiming
-    ) -> Tuple[kernel.Durations, kernel.OutcomeArrays, kernel.Failures]:
-        plan, net = self.plan, self.net
-        places = len(net.places)
-        timing_of = np.zeros(len(self.classes) * places, dtype=np.int64)
-        known: Dict[Tuple[int, bool, PlaceTiming], int] = {}
-        rows: List[Tuple[int, bool, PlaceTiming]] = []
-        for c, robot in enumerate(self.classes):
-            for p, place in enumerate(net.places):
-                if self.is_resource[p]:
-                    continue
-                key = (p, plan.action(robot, place.name) is None, timing.of(robot, p))
-                if key not in known:
-                    known[key] = len(rows)
-                    rows.append(key)
-                timing_of[c * places + p] = known[key]
-        places_of, nulls, its = zip(*rows) if rows else ((), (), ())
-        rules = [plan.failure_rule(net.places[p].name) for p in places_of]
-        outcomes = [[o for o in one.outcomes if o[1] > 0] or [(POLICY, 1.0)] for one in its]
+    def _timings(self) -> Tuple[kernel.Durations, kernel.OutcomeArrays, kernel.Failures]:
+        places, visits = len(self.net.places), self.means.visits
+        timing_of = np.zeros(len(visits) * places, dtype=np.int64)
+        known: Dict[Tuple[int, PlaceVisit], int] = {}
+        for c, here in enumerate(visits):
+            for p, visit in here.items():
+                timing_of[c * places + p] = known.setdefault((p, visit), len(known))
+        its = [visit for _, visit in known]
         parts = [part for one in its for part in one.duration.parts]
         kinds = [
-            kernel.NULL_ACTION if null and one.duration.mean == 0.0 else _KINDS[part.kind]
-            for null, one in zip(nulls, its)
+            kernel.NULL_ACTION if one.idle else _KINDS[part.kind]
+            for one in its
             for _, _, part in one.duration.parts
         ]
         table_from, table = ragged(
             [[float(x) for x in part.parameters] for _, _, part in parts], np.float64
         )
         outcome_from, outcome_list = ragged(
-            [[self._wish(p, t) for t, _ in mine] for p, mine in zip(places_of, outcomes)]
+            [[self._list(p, t) for t, _ in visit.asks] for p, visit in known]
         )
         _, outcome_chance = ragged(
-            [np.cumsum([chance for _, chance in mine]).tolist() for mine in outcomes], np.float64
+            [np.cumsum([chance for _, chance in one.asks]).tolist() for one in its], np.float64
         )
-        delay_from, delays = ragged([list(rule.delays) or [0.0] for rule in rules], np.float64)
+        delay_from, delays = ragged([list(one.rule.delays) or [0.0] for one in its], np.float64)
         return (
             kernel.Durations(
                 timing_of,
@@ -362,43 +338,22 @@ class PlanTables:
                 table=table,
                 timeout=floats([one.timeout for one in its]),
             ),
-            kernel.OutcomeArrays(
-                outcome_from,
-                outcome_list,
-                outcome_chance,
-                integers([self._wish(p, POLICY) for p in places_of]),
-            ),
+            kernel.OutcomeArrays(outcome_from, outcome_list, outcome_chance),
             kernel.Failures(
                 failure=floats([one.failure for one in its]),
-                rule_times=integers([rule.times for rule in rules]),
+                rule_times=integers([one.rule.times for one in its]),
                 delay_from=delay_from,
                 delays=delays,
-                rule_end=integers([_ENDS[rule.end] for rule in rules]),
-                rule_list=integers([self.arc_of.get((plan.fallback(p), p), -1) for p in places_of]),
+                rule_end=integers([_ENDS[one.rule.end] for one in its]),
+                rule_list=integers([self.arc_of.get((one.fallback, p), -1) for p, one in known]),
             ),
         )
 
-    def _wish(self, p: int, outcome: int) -> int:
-        """The list that a robot in place ``p`` joins with this outcome, by the rules of a run."""
-        if not self.net.consumers[p]:
-            return kernel.NOWHERE
-        asked = unnamed(self.plan, p) if outcome == POLICY else outcome
-        if asked == POLICY:
-            return len(self.arcs) + p
-        return self.arc_of.get((asked, p), kernel.BAD_RESULT)
-
-
-def _robot_classes(plan: Plan) -> Tuple[List[str], List[int]]:
-    """One robot of each kind (robots with equal actions are of one kind; "" is any robot without
-    its own), and the kind of each robot of the plan."""
-    names = [""]
-    kinds: List[Mapping[str, Any]] = [{}]
-    of: List[int] = []
-    for robot in plan.robots:
-        if robot.actions in kinds:
-            of.append(kinds.index(robot.actions))
-        else:
-            of.append(len(kinds))
-            kinds.append(robot.actions)
-            names.append(robot.name)
-    return names, of
+    def _list(self, p: int, asked: int) -> int:
+        """The list that a robot in place ``p`` joins that asks for this."""
+        others = {
+            POLICY: len(self.arcs) + p,
+            NO_REQUEST: kernel.BAD_RESULT,
+            FOR_GOOD: kernel.NOWHERE,
+        }
+        return others[asked] if asked in others else self.arc_of[asked, p]

@@ -12,7 +12,6 @@ from generated_plans import small_plans, with_events, with_subnet, with_tasks
 from hypothesis import strategies as st
 
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.plan.structure import idle_places
 from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.analysis.preflight.report import Severity
 from gspn_framework_package.analysis.preflight.while_running import keeps_robots
@@ -26,6 +25,7 @@ from gspn_framework_package.execution.verifier import slot_check, verify
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.errors import LimitError, RefusedError
+from gspn_framework_package.model.plan_timing import PlanTiming, rules_of
 from gspn_framework_package.testing import Scenario
 
 CUT_OFF = "a cycle of immediate transitions"
@@ -96,7 +96,8 @@ def _answers(plan, folder, told):
     decided = report.complete and not any(i.details.get("undecided") for i in report.items)
     told["decided"] += decided
     # markings do not say which robot is where: with null for some robots only, the check refuses more
-    exact = idle_places(plan) == idle_places(plan, everybody=True)
+    rules = rules_of(plan, PlanTiming(plan))
+    exact = rules.idle_places() == rules.idle_places(everybody=True)
     cycle = any(i.severity is Severity.REFUSED for i in report.of("timeless_cycle"))
     told["cycles refused"] += cycle
     told["cycles refused and seen"] += cycle and cut_off
@@ -216,7 +217,8 @@ def _simulated(plan, seconds, report, decided, foreseen, told):
         told["simulations refused"] += 1
         assert not (without_time and decided) or foreseen, "simulate: %s" % error
         return
-    if idle_places(plan) != idle_places(plan, everybody=True):
+    rules = rules_of(plan, PlanTiming(plan))
+    if rules.idle_places() != rules.idle_places(everybody=True):
         return
     sure = [i for i in report.of("timeless_cycle") if i.details.get("sequence") == []]
     assert not (decided and sure and sure[0].severity is Severity.REFUSED), "simulate runs it"
