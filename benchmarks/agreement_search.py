@@ -40,15 +40,17 @@ class Totals:
         self.verified += search.verified
 
 
-def search_scope(scope: Scope, transitions: int, seed: int) -> Totals:
-    """Search a scope: half of the transitions breadth first, the rest at random.
+def search_scope(scope: Scope, transitions: int, seed: int, walks: bool) -> Totals:
+    """Search a scope: half of the transitions breadth first, the rest at random; with ``walks`` all
+    at random.
 
     :raises Found: a rule is broken.
     """
     totals, begin = Totals(scope), time.process_time()
-    wide = Search(scope)
-    wide.breadth_first(transitions // 2)
-    totals.add(wide)
+    if not walks:
+        wide = Search(scope)
+        wide.breadth_first(transitions // 2)
+        totals.add(wide)
     left = transitions - totals.transitions
     while left > 0:
         deep = Search(scope)
@@ -71,6 +73,9 @@ def main(arguments: Optional[List[str]] = None) -> int:
         help="steps of each team (default %(default)s)",
     )
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="of the walks (default 0)")
+    parser.add_argument(
+        "--walks", action="store_true", help="all at random, as a part of a longer search"
+    )
     parser.add_argument("--mutant", default="", metavar="NAME", help="with this seeded fault")
     parser.add_argument("--json", action="store_true", help="print one JSON object a line")
     args = parser.parse_args(arguments)
@@ -86,7 +91,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
             if args.scopes and scope.name not in args.scopes:
                 continue
             try:
-                found = search_scope(scope, args.transitions, args.seed)
+                found = search_scope(scope, args.transitions, args.seed, args.walks)
             except Found as error:
                 wrong += 1
                 print("%s\n%s" % (error, "\n".join("  " + line for line in error.story)))

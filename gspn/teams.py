@@ -135,6 +135,30 @@ class Team:
 
         self._subscribers.append(rospy.Subscriber(FIRED_TOPIC, FiredTransition, heard))
 
+    def on_task_ended(self, callback: Callable[[Dict[str, Any]], None]) -> None:
+        """Call back at the end of each task from now on, as :meth:`on_fired` does.
+
+        If the robot that decides it dies at that moment, nobody may be called; :meth:`tasks` has
+        the last 100 that ended.
+
+        >>> team.on_task_ended(lambda ended: print(ended["id"], ended["outcome"]))  # doctest: +SKIP
+
+        :param callback: takes ``run``, ``id``, ``outcome`` (done, cancelled, late or lost),
+            ``why``, ``robot`` (which had it), ``attempts``, ``seconds`` (since it was submitted;
+            or None) and ``data``.
+        """
+        import rospy
+        from std_msgs.msg import String
+
+        from gspn_framework_package.ros.messages import TASKS_TOPIC
+
+        def heard(message: String) -> None:
+            ended = json.loads(message.data)
+            if self._run in ("", ended["run"]):
+                callback(ended)
+
+        self._subscribers.append(rospy.Subscriber(TASKS_TOPIC, String, heard))
+
     def pause(self, robot: str = "", *, stop: bool = False) -> None:
         """Stop all firing until :meth:`resume`, or the firings of one robot.
 

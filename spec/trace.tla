@@ -1,12 +1,17 @@
 -------------------------------- MODULE trace --------------------------------
 (* Whether the specification allows what replicas did: test/agreement/traces.py writes their steps *)
-(* as Traces, in a module traces. Each step has to be one of an action of agreement.tla, after which the process knows *)
-(* what the replica knew. TLC prints how far it comes, and what differs.                           *)
+(* as Traces, in a module traces. Each step has to be one of an action of agreement.tla, after     *)
+(* which the process knows what the replica knew. TLC prints how far it comes, and what differs.   *)
 EXTENDS agreement, TLC, traces
+
+CONSTANT Holds  \* whether the traces say who answers without a vote, and when a robot holds still
 
 VARIABLES trace, at  \* the number of the trace, and of the step that comes next
 
 step == Traces[trace][at]
+
+Same(field, specified, found) ==
+  specified = found \/ (PrintT(<<"differs", trace, at, field, specified, found>>) /\ FALSE)
 
 \* All entries of the trace wait from the beginning; who proposes which of them, and when, is free.
 TraceBatches(s) == {b \in {step.batch} : b # <<>> /\ Range(b) \subseteq available(s)}
@@ -15,25 +20,50 @@ TraceWants(p, s) == TRUE
 \* The numbers of a robot's entries are those of the trace, not of its state.
 TraceSpokenFor(p, s) == known_incarnation(p, s) > s.incarnation
 
+\* In partial synchronisation, a proposer puts every local transition that was reported to it into
+\* the batch, in order, and an order only if all hold still. The code may propose nothing, too.
+inside(items, batch) == SelectSeq(batch, LAMBDA i : i \in Range(items)) = items
+TracePartialBatches(p, s, answers, answered, strangers) ==
+  LET unasked == members(s) \ answered
+      reported == {s.moves} \union {m.items : m \in answers}
+      b == step.batch
+  IN {x \in {b} :
+        /\ \A items \in reported : inside(SelectSeq(items, LAMBDA i : is_news(s.ledger, i)), b)
+        /\ \A i \in Range(b) : i \in available(s) /\ (is_control(i) => s.attempt.frozen)
+        /\ ~Holds \/ unasked = {} \/ are_replaced(s, unasked, strangers, b)}
+
+\* A local transition is the one of the trace, of the life and the log that the robot has.
+TraceAsking(p, s) == {}
+TraceItem(p, s, entry, robot, life, forced, k) == step.batch[1]
+of_this_life(s, i) ==
+  Same("origin", <<i.by, i.incarnation, i.log>>, <<step.robot, s.incarnation, s.log_id>>)
+
+\* A robot that does not take part yet says what it knows, without a vote; here all take part.
+answer(p, m) ==
+  LET t == [state[p] EXCEPT !.frozen_by = @ \/ m.frozen] IN
+  /\ Partial /\ counts(p, t, m) /\ is_open(t, m)
+  /\ Step(p, t, {Promise(p, t, m, FALSE)}, FALSE)
+  /\ UNCHANGED <<proposals, chosen, faults>>
+
 Entries(t) == UNION {Range(Traces[t][k].batch) : k \in DOMAIN Traces[t]}
 
 TraceInit ==
   /\ Init
-  /\ trace \in DOMAIN Traces /\ at = 1
+  /\ trace \in DOMAIN Traces /\ at = 0
 
 TraceStart ==
-  /\ at = 1 /\ proposals = {} /\ Traces[trace] # <<>>
+  /\ at = 0 /\ at' = 1
   /\ proposals' = Entries(trace)
-  /\ UNCHANGED <<state, disk, sent, chosen, log_ids, took_part, acted, faults, trace, at>>
-
-Same(field, specified, found) ==
-  specified = found \/ (PrintT(<<"differs", trace, at, field, specified, found>>) /\ FALSE)
+  /\ UNCHANGED <<state, disk, sent, chosen, log_ids, took_part, acted, faults, trace>>
 
 took(p) ==
   CASE step.what = "resume" -> resume(p)
-    [] step.what = "propose" -> propose(p)
+    [] step.what = "move" -> of_this_life(state[p], step.batch[1]) /\ move_alone(p)
+    [] step.what = "propose" -> propose(p) /\ (Partial => state'[p].attempt.frozen = step.frozen)
     [] step.what = "promise" ->
          \E m \in {n \in sent : n.kind = "prepare" /\ n.ballot = step.ballot} : on_prepare(p, m)
+    [] step.what = "answer" ->
+         \E m \in {n \in sent : n.kind = "prepare" /\ n.ballot = step.ballot} : answer(p, m)
     [] step.what = "second_phase" -> first_phase_over(p) \/ lead_on(p)
     [] step.what = "vote" ->
          \E m \in {n \in sent : n.kind = "accept" /\ n.ballot = step.ballot /\ n.slot = step.length} :
@@ -44,6 +74,7 @@ took(p) ==
          \/ \E c \in {d \in chosen : d.slot = step.length - 1} : on_learn(p, c)
 
 knows(s) ==
+  /\ Holds => Same("frozen", s.frozen_by, step.frozen)
   /\ Same("length", length(s.ledger), step.length)
   /\ Same("promised", s.promised, step.promised)
   /\ Same("accepted", s.accepted, step.accepted)
@@ -52,7 +83,7 @@ knows(s) ==
 
 TraceNext ==
   \/ TraceStart
-  \/ /\ proposals # {} /\ at <= Len(Traces[trace])
+  \/ /\ at \in 1..Len(Traces[trace])
      /\ LET p == <<step.robot, 0>> IN took(p) /\ knows(state'[p])
      /\ at' = at + 1 /\ UNCHANGED trace
      /\ PrintT(<<"took", trace, at>>)

@@ -17,7 +17,6 @@ from gspn_framework_package.execution.actions import (
     ActionContext,
     ActionFailed,
     ActionResult,
-    Cancellation,
     PythonAction,
     error_text,
     load_actions,
@@ -35,6 +34,7 @@ from gspn_framework_package.msg import (
 from gspn_framework_package.ros.goal_data import GoalData, read_goal_text, result_text
 from gspn_framework_package.ros.goal_id import GoalIdentity, parse_goal_id
 from gspn_framework_package.ros.goal_state import GoalNews
+from gspn_framework_package.ros.ros_clock import RosCancellation
 from gspn_framework_package.ros.transport.registration import found_parameter, registered_together
 
 KEPT_ENDED = 10
@@ -244,7 +244,7 @@ class _RunningGoal:
     ) -> None:
         self.server, self.handle, self.action = server, handle, action
         self.place, self.identity, self.caller, self.given = place, identity, caller, given
-        self.cancellation = Cancellation()
+        self.cancellation = RosCancellation()
         self._was_there = server.status_pub.impl.has_connection(caller)
 
     def replaces(self, other: _RunningGoal) -> bool:

@@ -5,14 +5,19 @@ from __future__ import annotations
 
 import threading
 import time
+from typing import Optional
 
 import rospy
 
+from gspn_framework_package.execution.actions import Cancellation
 from gspn_framework_package.team.clock import Clock
 
 LOOK_EVERY = 0.05
 """Seconds between two readings of simulated time, which may pass at any rate."""
 
+
+_NAP = 0.01
+"""The same where a function sleeps."""
 
 STANDS_AFTER = 5.0
 """Seconds without a step after which simulated time is said to stand still."""
@@ -59,3 +64,16 @@ class RosClock(Clock):
 
 ROS_CLOCK = RosClock()
 """The clock of this process."""
+
+
+class RosCancellation(Cancellation):
+    """Lets an action check whether it should end, and sleep in ROS time."""
+
+    def wait(self, seconds: Optional[float] = None) -> bool:
+        """See :class:`Cancellation`."""
+        if seconds is None or rospy.rostime.is_wallclock():
+            return super().wait(seconds)
+        due = ROS_CLOCK.seconds() + seconds
+        while ROS_CLOCK.seconds() < due and not super().wait(_NAP):
+            pass
+        return self()

@@ -12,6 +12,7 @@ import copyreg
 import io
 import json
 import pickle
+import random
 from types import MappingProxyType
 from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Tuple
 
@@ -25,6 +26,7 @@ from gspn_framework_package.execution.agreement.replica import Replica
 from gspn_framework_package.execution.agreement.state import BallotAttempt, Waiting
 from gspn_framework_package.execution.event_log import header
 from gspn_framework_package.execution.firing import StartAction
+from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.execution.verifier.merge import is_in_team_after
 from gspn_framework_package.model.compact_json import compact
@@ -89,6 +91,8 @@ class Step(NamedTuple):
     """The slots among them that it wrote as a member, and their hashes."""
     relies: List[Tuple[str, str, Tuple[Any, ...]]]
     """The promises that an accept relies on: robot, log id and ballot."""
+    replica: Replica
+    """What :attr:`Process.replica` is a copy of."""
 
 
 class Host:
@@ -163,7 +167,8 @@ class Host:
     def sync(self, process: Process) -> Step:
         """The log reaches the disk."""
         process = process._replace(synced=len(process.lines))
-        return Step(process, self.key(process, load(process.replica)), [], 0, [], [])
+        replica = load(process.replica)
+        return Step(process, self.key(process, replica), [], 0, [], [], replica)
 
     # -- effects -----------------------------------------------------------------------------------
 
@@ -255,7 +260,7 @@ class Host:
             return again._replace(
                 sent=sent + again.sent, slots=slots + again.slots, relies=relies, records=written
             )
-        return Step(after, self.key(after, replica), sent, written, slots, relies)
+        return Step(after, self.key(after, replica), sent, written, slots, relies, replica)
 
     def _check_written(self, message: interface.Message, votes: Any, synced: int) -> None:
         if message["kind"] not in ("promise", "accepted", "accept") or not message.get(
@@ -410,7 +415,8 @@ def _key_of_waiting(waiting: Waiting) -> Any:
 # -- copies ----------------------------------------------------------------------------------------
 
 _shared: Dict[int, Any] = {}
-"""Immutable objects that copies of replicas share, by their ids."""
+"""What copies of replicas share, by their ids: what never changes. (Nothing draws from the random
+numbers: no plan of a scope has anything that comes by chance.)"""
 
 
 def _shared_object(number: int) -> Any:
@@ -425,7 +431,8 @@ def _share(thing: Any) -> Tuple[Callable[[int], Any], Tuple[int]]:
 class _Pickler(pickle.Pickler):
     dispatch_table = {
         **copyreg.dispatch_table,
-        **dict.fromkeys((Config, Plan, Net, TokenGame, MappingProxyType), _share),
+        **dict.fromkeys((Config, Plan, Net, Phase, TokenGame, MappingProxyType), _share),
+        random.Random: _share,
     }
 
 

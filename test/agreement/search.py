@@ -20,13 +20,14 @@ from __future__ import annotations
 
 import json
 import random
-from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, FrozenSet, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from agreement.plans import STEERED, another_plan, make_plan
 from agreement.process import Host, Process, Step, load
 from agreement.world import ViolationError
 from gspn_framework_package.execution import log_entries, plan_change
 from gspn_framework_package.execution.agreement import interface
+from gspn_framework_package.execution.agreement.replica import Replica
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.model.compact_json import compact_sorted
@@ -149,11 +150,14 @@ class Team(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """A step whose process and messages have numbers."""
+    """What is kept of a step: the numbers of its process and messages, and what rules are about."""
 
     process: int
     sent: int
-    step: Step
+    records: int
+    slots: List[Tuple[int, str]]
+    relies: List[Tuple[str, str, Tuple[Any, ...]]]
+    promised: FrozenSet[Tuple[str, Tuple[Any, ...]]]
 
 
 class Found(ViolationError):  # noqa: N818
@@ -280,7 +284,7 @@ class Search:
     def cuts(self, team: Team, action: Action) -> Iterator[Action]:
         """The same, with a kill in the middle, where one may happen."""
         if team.left[_CRASHES] and action.what in ("take", "tick", "done", "order", "examined"):
-            records = self._outcome(team.processes[action.node], action).step.records
+            records = self._outcome(team.processes[action.node], action).records
             for cut in range(1, records):
                 yield action._replace(cut=cut)
 
@@ -288,7 +292,6 @@ class Search:
         """The state after an action. :raises ViolationError: a rule was broken."""
         node = action.node
         outcome = self._outcome(team.processes[node], action)
-        step = outcome.step
         if action.what == "take" and not outcome.sent and outcome.process == team.processes[node]:
             self._idle[outcome.process] = self._idle.get(outcome.process, 0) | 1 << action.number
             return team
@@ -302,15 +305,15 @@ class Search:
         if action.what == "order":
             given |= 1 << action.number
         chain = team.chain
-        if step.slots or step.relies:
-            chain = self._with_slots(team, step, node)
-            self._check_promises(team, step, node)
+        if outcome.slots or outcome.relies:
+            chain = self._with_slots(team, outcome, node)
+            self._check_promises(team, outcome, node)
         sent = team.sent | (outcome.sent if self.scope.hellos else outcome.sent & ~self._hellos)
         return Team(processes, sent, left, given, chain)
 
-    def _with_slots(self, team: Team, step: Step, node: int) -> Tuple[Tuple[int, str], ...]:
+    def _with_slots(self, team: Team, outcome: Outcome, node: int) -> Tuple[Tuple[int, str], ...]:
         chain = dict(team.chain)
-        for slot, hash_ in step.slots:
+        for slot, hash_ in outcome.slots:
             if chain.setdefault(slot, hash_) != hash_ and not self.scope.outages:
                 raise ViolationError(
                     "%s has another slot %d than somebody else" % (self.hosts[node].name, slot)
@@ -318,14 +321,14 @@ class Search:
         self.longest = max(self.longest, len(chain))
         return tuple(sorted(chain.items()))
 
-    def _check_promises(self, team: Team, step: Step, node: int) -> None:
-        for robot, log, ballot in step.relies:
+    def _check_promises(self, team: Team, outcome: Outcome, node: int) -> None:
+        for robot, log, ballot in outcome.relies:
             known = [
                 self.processes[number].promised
                 for number, host in zip(team.processes, self.hosts)
                 if host.robot == robot and number >= 0
             ]
-            known.append(step.process.promised)
+            known.append(outcome.promised)
             if not any((log, ballot) in promised for promised in known):
                 raise ViolationError(
                     "%s counts on a promise that %s does not remember"
@@ -343,7 +346,9 @@ class Search:
             sent = 0
             for to, text in step.sent:
                 sent |= 1 << self._number_of(self._addressed_to(action, to, text))
-            found = self._outcomes[key] = Outcome(self._intern(step), sent, step)
+            new, promised = self._intern(step), step.process.promised
+            found = Outcome(new, sent, step.records, step.slots, step.relies, promised)
+            self._outcomes[key] = found
         return found
 
     def play(self, process: Optional[Process], action: Action) -> Step:
@@ -399,12 +404,12 @@ class Search:
             number = self._numbers[step.key] = len(self.processes)
             self.processes.append(step.process)
             if not step.process.halted:
-                self._check_state(step.process)
+                self._check_state(step.replica)
         return number
 
-    def _check_state(self, process: Process) -> None:
+    def _check_state(self, replica: Replica) -> None:
         """Replicas with the same log have the same state."""
-        ledger = load(process.replica).ledger
+        ledger = replica.ledger
         text = compact_sorted(ledger.state.to_json(ledger.game.net))
         if self._states.setdefault((ledger.length, ledger.hash), text) != text:
             raise ViolationError("two replicas have one log and two states")

@@ -6,7 +6,7 @@ what the robot did, and what it then knew. TLC plays the notes on the
 specification (``spec/trace.tla``): each step has to be one of its actions, with the same outcome.
 
 ``python3 -m agreement.traces --traces N`` checks N of them. With ``--logs FOLDER...``, it checks real
-runs instead: each folder holds the logs of one, written on one machine, with full synchronisation.
+runs instead: each folder holds the logs of one, written on one machine.
 """
 
 from __future__ import annotations
@@ -30,7 +30,9 @@ from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.consensus import Consensus
 from gspn_framework_package.execution.agreement.membership import Membership
 from gspn_framework_package.execution.agreement.messages import Batch
+from gspn_framework_package.execution.agreement.proposals import ProposalQueue
 from gspn_framework_package.execution.agreement.quorum import Ballot
+from gspn_framework_package.execution.agreement.state import is_control
 from gspn_framework_package.execution.event_log import EventLog, read_log
 from gspn_framework_package.execution.ledger import Item, Origin
 from gspn_framework_package.model.errors import GspnError, LogError
@@ -63,6 +65,7 @@ class Known(NamedTuple):
     promised: Ballot
     accepted: Optional[Tuple[Ballot, Batch]]
     incarnation: int
+    frozen: bool
 
 
 class Notes:
@@ -79,9 +82,11 @@ class Notes:
     def _item(self, item: Item) -> str:
         robot, incarnation, number, _ = item.origin
         by = self.robots[robot]
-        name, life = "Done", 0
+        name, life = "Move" if item.private else "Done", 0
         if isinstance(item.entry, log_entries.Join):
             name, life = "Join", item.entry.incarnation
+        elif is_control(item.entry):
+            name = "GiveBack"  # the order that the specification knows again and again
         return (
             '[entry |-> "%s", robot |-> %d, life |-> %d, forced |-> FALSE, by |-> %d, '
             "incarnation |-> %d, number |-> %d, log |-> 1, told_at |-> 0, before |-> <<>>]"
@@ -96,7 +101,11 @@ class Notes:
         return "<<%d, %d, %d>>" % (ballot.counter, self.robots[ballot.robot], log)
 
     def note(
-        self, part: Union[Consensus, Membership], what: str, ballot: Any, items: Sequence[Item]
+        self,
+        part: Union[Consensus, Membership, ProposalQueue],
+        what: str,
+        ballot: Any,
+        items: Sequence[Item],
     ) -> None:
         """Note a step that a replica has taken."""
         state = part.state
@@ -107,7 +116,13 @@ class Notes:
             what,
             ballot,
             items,
-            Known(state.ledger.length, state.promised, state.accepted, state.incarnation),
+            Known(
+                state.ledger.length,
+                state.promised,
+                state.accepted,
+                state.incarnation,
+                state.is_frozen(),
+            ),
         )
 
     def add(
@@ -123,7 +138,7 @@ class Notes:
             accepted = "<<%s, %s>>" % (self._ballot(held), self._batch(batch.items))
         self.steps.append(
             '[what |-> "%s", robot |-> %d, ballot |-> %s, batch |-> %s, length |-> %d, '
-            "promised |-> %s, accepted |-> %s, incarnation |-> %d]"
+            "promised |-> %s, accepted |-> %s, incarnation |-> %d, frozen |-> %s]"
             % (
                 what,
                 self.robots[robot],
@@ -133,6 +148,7 @@ class Notes:
                 self._ballot(known.promised),
                 accepted,
                 known.incarnation,
+                str(known.frozen).upper(),
             )
         )
 
@@ -146,7 +162,11 @@ def noting(notes: Notes) -> Iterator[None]:
         Consensus._persist_accepted,
         Consensus.next_slot,
     )
-    new_life = Membership.new_life
+    answer, new_life, move = (
+        Consensus._answer_prepare,
+        Membership.new_life,
+        ProposalQueue.add_local_transition,
+    )
 
     def promising(self: Consensus, ballot: Any, torn: Any) -> None:
         promise(self, ballot, torn)
@@ -165,20 +185,35 @@ def noting(notes: Notes) -> Iterator[None]:
         ((ballot, batch, _),) = self.state.recent.since(self.state.ledger.length - 1) or ()
         notes.note(self, "decide", ballot, batch.items)
 
+    def answering(self: Consensus, message: Any, body: Any, vote: bool) -> None:
+        answer(self, message, body, vote)
+        if self.config.partial and not vote:
+            notes.note(self, "answer", body.ballot, ())
+
     def resuming(self: Membership) -> None:
         new_life(self)
         notes.note(self, "resume", self.state.promised, ())
 
+    def moving(self: ProposalQueue, entry: Any, firing: Any) -> Origin:
+        origin = move(self, entry, firing)
+        notes.note(self, "move", self.state.promised, (Item(entry, origin, True),))
+        return origin
+
     steps = mock.patch.multiple(
-        Consensus, _promise=promising, _persist_accepted=accepting, next_slot=deciding
+        Consensus,
+        _promise=promising,
+        _answer_prepare=answering,
+        _persist_accepted=accepting,
+        next_slot=deciding,
     )
-    with steps, mock.patch.object(Membership, "new_life", resuming):
+    lives = mock.patch.object(Membership, "new_life", resuming)
+    with steps, lives, mock.patch.object(ProposalQueue, "add_local_transition", moving):
         yield
 
 
-def traced(seed: int, robots: int, steps: int = 60) -> Trace:
+def traced(seed: int, robots: int, steps: int = 60, partial: bool = False) -> Trace:
     """Run a team, and return its first steps."""
-    plan = make_plan(seed, robots, False, 0.0, 0.0, False)
+    plan = make_plan(seed, robots, partial, 0.0, 0.0, False)
     source = random.Random("traces|%d" % seed)
     bad = source.random() < 0.7
     weather = Weather(loss=0.2, duplication=0.2, late=0.3) if bad else Weather()
@@ -188,6 +223,8 @@ def traced(seed: int, robots: int, steps: int = 60) -> Trace:
         for node in world.nodes.values():
             node.start()
         _stop_sometimes(world, source)
+        if partial:
+            _order_sometimes(world, source)
         world.run(6.0, lambda: notes.ended or len(notes.steps) >= steps)
     return notes.steps[:steps]
 
@@ -207,28 +244,45 @@ def _stop_sometimes(world: World, source: random.Random) -> None:
     world.at(until + pause, lambda: _stop_sometimes(world, source))
 
 
+def _order_sometimes(world: World, source: random.Random) -> None:
+    """Order a robot to pause or to go on now and then, which local transitions must not pass."""
+    name = source.choice(list(world.nodes))
+    order = source.choice((log_entries.Pause, log_entries.Resume))
+    world.operator(order(name), world.nodes[name])
+    world.at(world.now + source.uniform(0.1, 2.0), lambda: _order_sometimes(world, source))
+
+
 BEYOND = ("reset", "outage", "forced", "snapshot")
 """The records with which something begins that traces do not know."""
 
 
-def traced_logs(logs: Sequence[EventLog], steps: int = 300) -> Tuple[Trace, int]:
-    """The first steps of a real run, and the number of its robots. A trace ends where a member
+def traced_logs(logs: Sequence[EventLog], steps: int = 300) -> Tuple[Trace, int, bool]:
+    """The first steps of a real run, the number of its robots, and whether it is one of partial
+    synchronisation: then it is not known who answered without a vote, or when robots held still. A trace ends where a member
     departs, or a log is lost.
 
     :param logs: those of all robots.
-    :raises LogError: they are not logs of one run with full synchronisation on one machine.
+    :raises LogError: they are not logs of one run on one machine.
     """
     plan = logs[0].plan
     robots = [robot.name for robot in plan.robots]
-    if plan.synchronisation is not Synchronisation.FULL or plan.witness:
-        raise LogError("only full synchronisation without a witness has traces")
+    partial = plan.synchronisation is Synchronisation.PARTIAL
+    if plan.witness:
+        raise LogError("only a team without a witness has traces")
     if sorted(log.robot for log in logs) != sorted(robots):
         raise LogError("not the logs of exactly %s" % ", ".join(robots))
     if len({log.header.get("host") for log in logs}) > 1:
         raise LogError("only the clock of one machine orders what robots do")
     notes, first = Notes(robots), Ballot(0, robots[0])
-    known = {name: Known(1, first, None, 0) for name in robots}
+    known = {name: Known(1, first, None, 0, False) for name in robots}
     records = [(r["mono"], log.robot, r) for log in logs for r in log.records]
+    alone = {tuple(r["origin"]) for _, _, r in records if r["kind"] == "private"}
+    frozen = {
+        Ballot.from_json(r["ballot"])
+        for _, _, r in records
+        if r["kind"] == "accepted"
+        and any(is_control(item.entry) for item in Batch.from_json(r["batch"]).items)
+    }
     for _, robot, record in sorted(records, key=lambda found: found[0]):
         kind = record["kind"]
         if kind in BEYOND or notes.ended:
@@ -236,11 +290,14 @@ def traced_logs(logs: Sequence[EventLog], steps: int = 300) -> Tuple[Trace, int]
         if kind == "life" and record["incarnation"] > 0:
             known[robot] = known[robot]._replace(incarnation=record["incarnation"])
             notes.add(robot, "resume", known[robot].promised, (), known[robot])
+        if kind == "private":
+            item = Item(log_entries.from_json(record["entry"]), Origin(*record["origin"]), True)
+            notes.add(robot, "move", known[robot].promised, (item,), known[robot])
         if kind not in ("promised", "accepted", "slot") or record.get("slot") == 0:
             continue
         ballot, mine = Ballot.from_json(record["ballot"]), record["ballot"][1] == robot
         items: Sequence[Item] = ()
-        length, promised, accepted, incarnation = known[robot]
+        length, promised, accepted, incarnation, _ = known[robot]
         if kind == "promised":
             what = "propose" if mine else "promise"
             promised = max(promised, ballot)
@@ -250,15 +307,22 @@ def traced_logs(logs: Sequence[EventLog], steps: int = 300) -> Tuple[Trace, int]
             promised, accepted = max(promised, ballot), (ballot, batch)
         else:
             found = zip(record["entries"], record["origins"])
-            items = [Item(log_entries.from_json(e), Origin(*o)) for e, o in found]
+            items = [
+                Item(log_entries.from_json(e), Origin(*o), tuple(o) in alone) for e, o in found
+            ]
             what, length, accepted = "decide", length + 1, None
-        known[robot] = Known(length, promised, accepted, incarnation)
+        known[robot] = Known(length, promised, accepted, incarnation, ballot in frozen)
         notes.add(robot, what, ballot, items, known[robot])
-    return notes.steps[:steps], len(robots)
+    return notes.steps[:steps], len(robots), partial
 
 
-def check(traces: Sequence[Trace], robots: int) -> List[Refused]:
-    """Have TLC play the traces; returns those that it refuses."""
+def check(
+    traces: Sequence[Trace], robots: int, partial: bool = False, holds: bool = True
+) -> List[Refused]:
+    """Have TLC play the traces; returns those that it refuses.
+
+    :param holds: whether the traces say when robots make no local transitions.
+    """
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         for name in ("agreement.tla", "trace.tla"):
@@ -267,7 +331,7 @@ def check(traces: Sequence[Trace], robots: int) -> List[Refused]:
         (folder / "traces.tla").write_text(
             "---- MODULE traces ----\nTraces == <<\n%s\n>>\n====\n" % told, "utf-8"
         )
-        (folder / "traces.cfg").write_text(_configuration(robots), "utf-8")
+        (folder / "traces.cfg").write_text(_configuration(robots, partial, holds), "utf-8")
         done = subprocess.run(
             ["java", "-XX:+UseSerialGC", "-Xss64m", "-cp", str(JAR), "tlc2.TLC", "-deadlock"]
             + ["-workers", "1", "-config", "traces.cfg", "trace.tla"],
@@ -296,25 +360,30 @@ def check(traces: Sequence[Trace], robots: int) -> List[Refused]:
     return refused
 
 
-def _configuration(robots: int) -> str:
+def _configuration(robots: int, partial: bool, holds: bool) -> str:
     constants = {
         "Robots": str(robots),
         "Wants": "{}",
         "Spares": "{}",
         "Begun": "TRUE",
-        "Partial": "FALSE",
+        "Partial": str(partial).upper(),
+        "Holds": str(partial and holds).upper(),
         "MaxLength": "1000",
         "MaxCounter": "1000",
         "MaxLogs": "1",
     }
     faults = "Restarts Losses Outages Evictions Assertions Moves Pauses GiveBacks"
     constants.update(dict.fromkeys(faults.split(), "0"), Restarts="1000")
+    constants.update(Moves="1000", Pauses="1")
     lines = ["SPECIFICATION TraceSpec", "CONSTANTS"]
     lines += ["  %s = %s" % pair for pair in constants.items()]
     lines += ["  batches <- TraceBatches", "  counters <- TraceCounters"]
     lines += [
         "  wants <- TraceWants",
         "  spoken_for <- TraceSpokenFor",
+        "  partial_batches <- TracePartialBatches",
+        "  asking <- TraceAsking",
+        "  Item <- TraceItem",
         "INVARIANTS",
         "  Agreement",
         "  PromisesAreKept",
@@ -339,13 +408,15 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     wrong = 0
     for first in range(args.seed, args.seed + args.traces, CHUNK):
         seeds = range(first, min(first + CHUNK, args.seed + args.traces))
-        for robots in (2, 3):
+        for robots, partial in ((2, False), (3, False), (2, True), (3, True)):
             begin = time.monotonic()
-            traces = [traced(seed, robots) for seed in seeds if seed % 2 == robots % 2]
-            steps, refused = sum(map(len, traces)), check(traces, robots)
+            mine = [seed for seed in seeds if seed % 4 == robots - 2 + 2 * partial]
+            traces = [traced(seed, robots, partial=partial) for seed in mine]
+            steps, refused = sum(map(len, traces)), check(traces, robots, partial)
             wrong += len(refused)
-            figures = (robots, len(traces), steps, len(refused), time.monotonic() - begin)
-            print("%d robots: %d traces, %d steps, %d refused, %.1f s" % figures, flush=True)
+            kind, took = "partial" if partial else "full", time.monotonic() - begin
+            figures = (robots, kind, len(traces), steps, len(refused), took)
+            print("%d robots, %s: %d traces, %d steps, %d refused, %.1f s" % figures, flush=True)
             for one in refused[:10]:
                 print("refused: trace %d, step %d: %s\n  differs: %s" % one)
     return int(wrong > 0)
@@ -353,20 +424,26 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
 
 def _check_logs(folders: Sequence[Path]) -> int:
     wrong = 0
+    kinds: Dict[Tuple[int, bool], List[Tuple[Path, Trace]]] = {}
     for folder in folders:
         try:
             logs = [read_log(str(path)) for path in sorted(folder.glob("*.jsonl"))]
             if not logs:
                 raise LogError("there is no log")
-            steps, robots = traced_logs(logs)
+            steps, robots, partial = traced_logs(logs)
         except GspnError as error:
             print("%s: left out: %s" % (folder, error), flush=True)
             continue
-        refused = check([steps], robots)
+        kinds.setdefault((robots, partial), []).append((folder, steps))
+    for (robots, partial), found in sorted(kinds.items()):
+        refused = check([steps for _, steps in found], robots, partial, holds=False)
         wrong += len(refused)
-        print("%s: %d robots, %d steps, %d refused" % (folder, robots, len(steps), len(refused)))
+        kind, total = "partial" if partial else "full", sum(len(each) for _, each in found)
+        figures = (robots, kind, len(found), total, len(refused))
+        print("%d robots, %s: %d runs, %d steps, %d refused" % figures, flush=True)
         for one in refused:
-            print("refused: step %d: %s\n  differs: %s" % one[1:], flush=True)
+            print("refused: %s" % found[one.trace - 1][0])
+            print("  step %d: %s\n  differs: %s" % one[1:], flush=True)
     return int(wrong > 0)
 
 

@@ -20,6 +20,7 @@ sys.path[:0] = [os.path.join(os.path.dirname(HERE), "support")]
 from waiting import wait_for
 
 import gspn
+from gspn_framework_package.execution.team_tasks import OUTCOMES_OF_TASKS
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.msg import FiredTransition
 from gspn_framework_package.srv import Command
@@ -107,8 +108,12 @@ class Warehouse(unittest.TestCase):
         wait_for(lambda: active and active[-1] == ["network"], PATIENCE, "the fault")
         wait_for(lambda: seconds_to_hear() >= DELAY, PATIENCE, "a slow network")
         self.assertGreaterEqual(min(seconds_to_hear() for _ in range(3)), DELAY)
+        ended = []
+        team.on_task_ended(ended.append)
         del receipts[:]
         wait_for(lambda: receipts, PATIENCE, "a delivery with the slow network")
+        wait_for(lambda: ended, PATIENCE, "word of a task that ended")
+        self.assertIn(ended[0]["outcome"], OUTCOMES_OF_TASKS)
         self.assertTrue(order("network", "", json.dumps({**slow, "lasts": 0}), "").success)
         wait_for(lambda: seconds_to_hear() < DELAY, PATIENCE, "a fast network")
 

@@ -1,5 +1,7 @@
 """The clock by which the times of a plan pass in a simulation."""
 
+import queue
+import threading
 import time
 
 import pytest
@@ -10,7 +12,7 @@ import rospy
 
 from gspn_framework_package.execution.firing import StartAction
 from gspn_framework_package.model.action import FunctionAction
-from gspn_framework_package.ros.ros_clock import LOOK_EVERY, STANDS_AFTER, RosClock
+from gspn_framework_package.ros.ros_clock import LOOK_EVERY, STANDS_AFTER, RosCancellation, RosClock
 from gspn_framework_package.team.job_runner import JobRunner
 from gspn_framework_package.team.jobs import CANCELLED, Job
 
@@ -37,6 +39,25 @@ def test_time_passes_as_the_simulation_says_and_never_back(simulated):
     simulated(501.0)
     assert clock.seconds() - begin == 5.0
     assert clock.look_at(begin + 9.0, 70.0) == 70.0 + LOOK_EVERY
+
+
+def test_functions_sleep_in_simulated_time(simulated):
+    simulated(1000.0)
+    slept = queue.Queue()
+    cancellations = [RosCancellation(), RosCancellation()]
+    for number, cancellation in enumerate(cancellations):
+        threading.Thread(
+            target=lambda n=number, c=cancellation: slept.put((n, c.wait(5.0))), daemon=True
+        ).start()
+    with pytest.raises(queue.Empty):
+        slept.get(timeout=0.2)
+    cancellations[0].cancel()
+    assert slept.get(timeout=30) == (0, True)
+    simulated(1004.0)
+    with pytest.raises(queue.Empty):
+        slept.get(timeout=0.2)
+    simulated(1005.5)
+    assert slept.get(timeout=30) == (1, False)
 
 
 def test_simulated_time_that_stands_still_is_named(simulated, monkeypatch):
