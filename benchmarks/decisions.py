@@ -38,7 +38,7 @@ from gspn_framework_package.analysis.decisions.automaton import CHANCE, Automato
 from gspn_framework_package.analysis.decisions.problem import DecisionProblem
 from gspn_framework_package.analysis.decisions.solving import optimum
 from gspn_framework_package.analysis.state_space import explore
-from gspn_framework_package.analysis.state_space.rated_graph import enabling_degree
+from gspn_framework_package.analysis.state_space.rated_graph import firing_rate
 from gspn_framework_package.analysis.state_space.space import StateSpace
 from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.formats.plan_file import read_plan
@@ -172,35 +172,40 @@ def condition_of(case: Case, net: Net) -> str:
 
 
 def automaton_of(space: StateSpace) -> Automaton:
-    """The decision problem of a net: whoever decides chooses among the immediate transitions."""
-    vanishing = space.is_vanishing
+    """The decision problem of a net: whoever decides chooses among the immediate transitions of
+    weight 0, and chance among those with a weight."""
+    transitions, of = space.net.transitions, space.transitions
+    weights = np.array([0.0 if t.timed else float(t.weight) for t in transitions])
+    vanishing, sources = space.is_vanishing, space.sources
     counts = np.diff(space.offsets)
-    rows = np.concatenate([[0], np.cumsum(np.where(vanishing, counts, 1))])
-    # one row per arc of a vanishing state, one per tangible state
-    of_rows = vanishing[np.repeat(np.arange(len(space)), np.diff(rows))]
+    decided = np.zeros(len(space), dtype=bool)
+    decided[sources[vanishing[sources] & (weights[of] == 0)]] = True
+    rows = np.concatenate([[0], np.cumsum(np.where(decided, counts, 1))])
+    # one row per arc of a state in which somebody decides, one per other state
+    of_rows = decided[np.repeat(np.arange(len(space)), np.diff(rows))]
     lengths = np.ones(int(rows[-1]), dtype=np.int64)
-    lengths[~of_rows] = counts[~vanishing]
+    lengths[~of_rows] = counts[~decided]
     values = np.ones(space.arcs)
-    sources = space.sources
-    transitions = space.net.transitions
-    order = np.argsort(space.transitions, kind="stable")
-    ends = np.searchsorted(space.transitions[order], np.arange(len(transitions) + 1))
+    drawn = vanishing & ~decided
+    sums = np.bincount(sources, weights=weights[of], minlength=len(space))
+    by_chance = drawn[sources]
+    values[by_chance] = (weights[of] / np.where(drawn, sums, 1.0)[sources])[by_chance]
+    order = np.argsort(of, kind="stable")
+    ends = np.searchsorted(of[order], np.arange(len(transitions) + 1))
     for t, transition in enumerate(transitions):
         arcs = order[ends[t] : ends[t + 1]]
         if transition.timed and len(arcs):
-            values[arcs] = transition.rate
-            if transition.servers != 1:
-                values[arcs] *= enabling_degree(space.net, t, space.store, sources[arcs])
+            values[arcs] = firing_rate(space.net, t, space.store, sources[arcs])
     choices = np.full(len(lengths), CHANCE, dtype=np.int32)
     arcs = np.concatenate([[0], np.cumsum(lengths)])
-    choices[of_rows] = space.transitions[arcs[:-1][of_rows]]
+    choices[of_rows] = of[arcs[:-1][of_rows]]
     return Automaton(
         ~vanishing,
         rows,
         arcs,
         space.targets.astype(np.int32),
         values,
-        space.transitions.astype(np.int32),
+        of.astype(np.int32),
         choices,
         ((0, 1.0),),
     )

@@ -7,6 +7,7 @@ from benchmarks.nets import (
     courier,
     flexible_manufacturing,
     kanban,
+    manufacturing_with_pallets,
     philosophers,
     polling,
     readers_writers,
@@ -14,7 +15,6 @@ from benchmarks.nets import (
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.state_space import explore
 from gspn_framework_package.analysis.state_space.properties import Properties
-from gspn_framework_package.model.builder import NetBuilder
 
 
 @pytest.mark.parametrize(
@@ -43,44 +43,6 @@ def test_flexible_manufacturing_states(n, tangible):
     space = explore(flexible_manufacturing(n))
     assert len(space) - int(space.is_vanishing.sum()) == tangible
     assert len(Analysis(flexible_manufacturing(n)).chain) == tangible
-
-
-def manufacturing_with_pallets(n):
-    """The flexible manufacturing system as its authors time it: parts of all kinds share floor(3
-    n / 2) pallets on their way to the machines, and finished parts of a kind leave all at once."""
-    net = NetBuilder("pallets_%d" % n)
-    for part, machine, machines, kept, joined in (
-        ("1", "M1", 3, 0.8, 0.2),
-        ("2", "M2", 1, 0.6, 0.4),
-        ("3", "", 0, 1.0, 0.0),
-        ("12", "M3", 2, 1.0, 0.0),
-    ):
-        raw, wait, work, done, store, truck = (
-            stage + part for stage in ("raw", "wait", "work", "done", "store", "truck")
-        )
-        net.place(raw, tokens=0 if part == "12" else n).place(work).place(done).place(store)
-        pallets = "min(1, %d / (#raw1 + #raw2 + #raw3 + #raw12))" % (3 * n // 2)
-        carried = wait if machine else work
-        net.exponential("carry" + part, "#%s * %s" % (raw, pallets), inputs=raw, outputs=carried)
-        if machine:
-            net.place(machine, tokens=machines).place(wait)
-            net.immediate("load" + part, priority=2, inputs=[wait, machine], outputs=work)
-            rate = {"1": 1 / 4, "2": 1 / 6, "12": 1.0}[part]
-            net.exponential(
-                "make" + part, "%r * #%s" % (rate, work), inputs=work, outputs=[done, machine]
-            )
-        net.immediate("keep" + part, weight=kept, inputs=done, outputs=store)
-        if joined:
-            net.place("join" + part)
-            net.immediate("pass" + part, weight=joined, inputs=done, outputs="join" + part)
-        fresh = ["raw1", "raw2"] if part == "12" else [raw]
-        net.place(truck)
-        net.exponential("ship" + part, 1 / 60, inputs=store, outputs=[truck, *fresh])
-        net.immediate("add" + part, priority=4, inputs=[truck, store], outputs=[truck, *fresh])
-        net.immediate("leave" + part, priority=3, inputs=truck)
-    net.exponential("make3", 0.5, inputs=["work3", "M2"], outputs=["done3", "M2"])
-    net.immediate("join", inputs=["join1", "join2"], outputs="raw12")
-    return net.build()
 
 
 @pytest.mark.parametrize(

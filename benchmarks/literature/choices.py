@@ -1,0 +1,147 @@
+"""Decision problems of the literature as nets with choices: whoever decides chooses among immediate
+transitions of weight 0."""
+
+from __future__ import annotations
+
+from typing import Optional
+
+import numpy as np
+
+from benchmarks.decisions import automaton_of
+from benchmarks.literature.answers import WIDTH, Between
+from gspn_framework_package.analysis.decisions.aims import Aim
+from gspn_framework_package.analysis.decisions.automaton import Rewards
+from gspn_framework_package.analysis.decisions.solving.optima import optimum
+from gspn_framework_package.analysis.state_space.space import explore
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.net import Net
+
+JOBS = {5: 2, 10: 3}
+"""Number of jobs -> number of processors."""
+
+STAGES = {10: (10, 10.0), 5_010: (5_000, 10.0), 5_100: (5_000, 100.0)}
+"""Name of an instance of :func:`erlang` -> stages, and their rate."""
+
+
+def stream(n: int) -> Net:
+    """A client that receives and plays ``n`` packages of a video, of Quatmann, Junges and Katoen
+    (2017): when one has come and nothing plays, it starts to play, or tries to go on buffering,
+    which fails once in a hundred times."""
+    net = NetBuilder("stream_%d" % n).place("idle", tokens=1).place("left", tokens=n)
+    for place in ("stored", "played", "playing", "buffering", "chance", "done"):
+        net.place(place)
+    net.exponential("receive", 4.0, inputs=["buffering", "left"], outputs=["idle", "stored"])
+    net.exponential("arrive", 4.0, inputs=["playing", "left"], outputs=["playing", "stored"])
+    net.exponential("play", 4.0, inputs=["playing", "stored"], outputs=["playing", "played"])
+    net.exponential(
+        "underrun", 4.0, inputs=["playing", "left"], outputs=["idle", "left"], inhibitors="stored"
+    )
+    net.exponential("end", 4.0, inputs="playing", outputs="done", inhibitors=["left", "stored"])
+    net.immediate(
+        "wait", inputs=["idle", "left"], outputs=["buffering", "left"], inhibitors="stored"
+    )
+    net.immediate(
+        "keep", 0, inputs=["idle", "left", "stored"], outputs=["chance", "left", "stored"]
+    )
+    net.immediate("kept", 0.99, inputs="chance", outputs="buffering")
+    net.immediate("lost", 0.01, inputs=["chance", "stored"], outputs=["playing", "played"])
+    net.immediate(
+        "start", 0, inputs=["idle", "stored"], outputs=["playing", "played"], inhibitors="played"
+    )
+    net.immediate(
+        "restart", 0, inputs=["idle", "stored", "played"], outputs=["playing", "played", "played"]
+    )
+    return net.build()
+
+
+def jobs(n: int) -> Net:
+    """The scheduling of ``n`` jobs on equal processors (Bruno, Downey and Frederickson 1981, as
+    Quatmann, Junges and Katoen, 2017, model it): the i-th has the rate i mod 3 + 1, and at the end
+    of a job all processors are assigned anew."""
+    net = NetBuilder("jobs_%d" % n).place("choosing", tokens=1).place("free", tokens=JOBS[n])
+    net.place("finished").place("unfinished", tokens=n).place("clearing")
+    for kind in range(3):
+        waits, runs = "waits%d" % kind, "runs%d" % kind
+        count = sum(1 for job in range(1, n + 1) if job % 3 == kind)
+        net.place(waits, tokens=count).place(runs)
+        net.immediate(
+            "assign%d" % kind, 0, inputs=["choosing", "free", waits], outputs=["choosing", runs]
+        )
+        net.exponential(
+            "finish%d" % kind,
+            "%d * #%s" % (kind + 1, runs),
+            inputs=[runs, "choosing", "unfinished"],
+            outputs=["finished", "free", "clearing"],
+        )
+        net.immediate(
+            "clear%d" % kind,
+            priority=2,
+            inputs=["clearing", runs],
+            outputs=["clearing", "free", waits],
+        )
+    net.immediate("cleared", inputs="clearing", outputs="choosing")
+    return net.build()
+
+
+def erlang(instance: int) -> Net:
+    """The Erlang stages of Zhang and Neuhäußer (2010): one way takes so many stages to the goal,
+    the other leads there once in two times, and otherwise never."""
+    stages, rate = STAGES[instance]
+    net = NetBuilder("erlang_%d" % instance).place("start", tokens=1).place("left", tokens=stages)
+    for place in ("short", "halfway", "long", "chain", "goal", "lost"):
+        net.place(place)
+    net.immediate("a", 0, inputs="start", outputs="short")
+    net.immediate("b", 0, inputs="start", outputs="long")
+    net.exponential("first_a", 1.0, inputs="short", outputs="halfway")
+    net.exponential("first_b", 1.0, inputs="long", outputs="chain")
+    for end in ("goal", "lost"):
+        net.exponential("to_" + end, 0.5, inputs="halfway", outputs=end)
+    net.exponential("stage", rate, inputs={"chain": 1, "left": 2}, outputs=["chain", "left"])
+    net.exponential("last", rate, inputs=["chain", "left"], outputs="goal", inhibitors={"left": 2})
+    return net.build()
+
+
+class Choices:
+    """The decision problem of a net.
+
+    :param net: whoever decides chooses among its immediate transitions of weight 0.
+    """
+
+    def __init__(self, net: Net) -> None:
+        self.net = net
+        self.space = explore(net, limit=10**8)
+        self.automaton = automaton_of(self.space)
+
+    def best(
+        self,
+        aim: Aim,
+        goal: str,
+        *,
+        maximise: bool,
+        place: Optional[str] = None,
+        fires: Optional[str] = None,
+        share: float = 1.0,
+    ) -> Between:
+        """The best probability or mean until a condition holds.
+
+        :param place: what costs: a token in this place for a second; None: time.
+        :param fires: what costs instead: a firing of this transition.
+        :param share: what a token costs for a second.
+        """
+        automaton, space = self.automaton, self.space
+        rate = np.ones(len(automaton))
+        impulse = np.zeros(len(automaton.targets))
+        if place is not None:
+            rate = share * space.column(self.net.place_index[place])
+        if fires is not None:
+            rate = np.zeros(len(automaton))
+            impulse[automaton.fired == self.net.transition_index[fires]] = 1.0
+        found = optimum(
+            automaton,
+            aim,
+            None if aim is Aim.REACH else Rewards(rate, impulse),
+            goal=space.holds(goal),
+            maximise=maximise,
+            width=WIDTH,
+        )
+        return Between(found.lower, found.upper)
