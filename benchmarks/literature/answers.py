@@ -38,7 +38,7 @@ WIDTH = 1e-9
 """Largest width of an interval that is computed iteratively, relative to its value."""
 
 
-CERTIFIED = 40_000
+CERTIFIED = 100_000
 """Averages in the long run are certified in chains of up to this many states. In larger ones, the
 interval comes from the estimated errors of the stationary distribution."""
 

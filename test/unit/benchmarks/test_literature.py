@@ -1,6 +1,8 @@
 """The command that computes published values anew: it agrees, and would fail if it did not."""
 
+import doctest
 import json
+from pathlib import Path
 
 import pytest
 
@@ -15,7 +17,7 @@ VALUES = read_published(FILE.read_text("utf-8"))
 
 
 @pytest.mark.parametrize(
-    ("family", "size"), [("philosophers", 4), ("tandem", 5), ("readers_writers", 5), ("jobs", 5)]
+    ("family", "size"), [("philosophers", 4), ("tandem", 5), ("stream", 10), ("jobs", 5)]
 )
 def test_small_nets_are_as_published(family, size):
     group = [v for v in VALUES if (v.family, v.size) == (family, size)]
@@ -77,6 +79,12 @@ def test_every_published_value_can_be_asked():
         assert value.answer in {**VISITING, **FAMILIES[value.family].answers}
         assert value.kind in ("exact", "sound", "default", "printed") and value.source
         assert value.lower <= value.upper
+
+
+def test_the_proofs_of_the_document_hold():
+    document = Path(__file__).parents[3] / "docs" / "literature.md"
+    result = doctest.testfile(str(document), module_relative=False)
+    assert result.attempted >= 4 and not result.failed
 
 
 def test_unknown_families_are_refused(capsys):
