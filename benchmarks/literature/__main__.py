@@ -84,7 +84,7 @@ def _computed(groups: Sequence[List[Published]], processes: int, certified: int)
     rows: List[Row] = []
     if processes < 1:
         raise UsageError("at least one process is needed", hint="--processes 2")
-    largest_first = sorted(groups, key=states_of, reverse=True)
+    largest_first = sorted(groups, key=lambda g: states_of(g) or 10**30, reverse=True)
     for number, found in enumerate(compare_all(largest_first, processes, certified), 1):
         rows += found
         failing = ["%s %s" % (r.published.answer, r.verdict) for r in found if r.fails]
