@@ -12,10 +12,13 @@ from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.net import Net
 
 
-def cluster(n: int) -> Net:
+def cluster(n: int, choice: bool = False) -> Net:
     """The workstation cluster of Haverkort, Hermanns and Katoen (2000): two sides with ``n``
     workstations and a switch each, joined by a line. One repairman inspects what is down, and then
-    repairs one."""
+    repairs one.
+
+    :param choice: the inspection takes no time, and the repairman chooses.
+    """
     net = NetBuilder("cluster_%d" % n).place("idle", tokens=1)
     parts = (
         ("left", n, 1 / 500, 2.0),
@@ -28,7 +31,10 @@ def cluster(n: int) -> Net:
         down, busy = "down_" + part, "repairs_" + part
         net.place(part, tokens=count).place(down).place(busy)
         net.exponential("fail_" + part, fails, None, inputs=part, outputs=down)
-        net.exponential("start_" + part, 10.0, inputs=["idle", down], outputs=[busy, down])
+        if choice:
+            net.immediate("start_" + part, 0, inputs=["idle", down], outputs=[busy, down])
+        else:
+            net.exponential("start_" + part, 10.0, inputs=["idle", down], outputs=[busy, down])
         net.exponential("repair_" + part, repair, inputs=[busy, down], outputs=["idle", part])
     return net.build()
 

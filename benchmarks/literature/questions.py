@@ -156,6 +156,8 @@ def _starved(n: int) -> str:
     return " + ".join("left%d" % i for i in range(1, n + 1)) + " == %d" % n
 
 
+_CUT_OFF = "(left == 0 or to_left == 0) and (right == 0 or to_right == 0)"
+
 FAMILIES: Mapping[str, Family] = {
     "cluster": Family(chains.cluster, CLUSTER),
     "tandem": Family(chains.tandem, TANDEM),
@@ -210,6 +212,14 @@ FAMILIES: Mapping[str, Family] = {
             "average_time": lambda c, n: c.best(
                 Aim.COST_TO, "finished == %d" % n, maximise=True, place="unfinished", share=1 / n
             ),
+        },
+        decides=True,
+    ),
+    "repaired_cluster": Family(
+        choices.repaired_cluster,
+        {
+            "longest_time": lambda c, n: c.best(Aim.COST_TO, _CUT_OFF, maximise=True),
+            "shortest_time": lambda c, n: c.best(Aim.COST_TO, _CUT_OFF, maximise=False),
         },
         decides=True,
     ),
