@@ -339,7 +339,6 @@ _KINDS: Dict[str, Type[Entry]] = {
     "adopt": Adopt,
     "unstage": Unstage,
 }
-_NAMES = {kind: name for name, kind in _KINDS.items()}
 
 _OPEN = ("data", "cause", "plan", "mapping")
 """Fields that hold JSON objects of any content."""
@@ -368,6 +367,8 @@ class _Form(NamedTuple):
     """How entries of a kind are written and read; computed once for speed, since every message and
     every line of a log holds entries."""
 
+    name: str
+    """The kind, as it is written."""
     keys: Tuple[str, ...]
     """``entry`` and the names of the fields."""
     types: Tuple[Tuple[str, type], ...]
@@ -376,22 +377,23 @@ class _Form(NamedTuple):
     """Fields that are written only if they are not empty."""
     ordered: bool
     """Whether an operator can order it, so that it has ``by``, which is written if known."""
-    bounded: bool
-    """Whether it has any of :data:`_BOUNDED`."""
+    later: Tuple[str, ...]
+    """Those of :data:`_LATER` that it has."""
 
 
-def _form(kind: Type[Entry]) -> _Form:
+def _form(name: str, kind: Type[Entry]) -> _Form:
     fields = kind._fields
     return _Form(
+        name,
         ("entry", *fields),
         tuple(_plain_types(kind).items()),
         tuple(key for key in _OPEN if "Mapping" in str(kind.__annotations__.get(key))),
         "by" in fields,
-        not _BOUNDED.isdisjoint(fields),
+        tuple(key for key in _LATER if key in fields),
     )
 
 
-_FORMS = {kind: _form(kind) for kind in _KINDS.values()}
+_FORMS = {kind: _form(name, kind) for name, kind in _KINDS.items()}
 
 
 def to_json(entry: Entry) -> Dict[str, Any]:
@@ -400,10 +402,12 @@ def to_json(entry: Entry) -> Dict[str, Any]:
     are not 0."""
     kind = type(entry)
     form = _FORMS[kind]
-    fields: Dict[str, Any] = dict(zip(form.keys, (_NAMES[kind], *entry)))
+    fields: Dict[str, Any] = dict(zip(form.keys, (form.name, *entry)))
     for key in form.open:
         value = fields[key]
-        if isinstance(value, collections.abc.Mapping):
+        if value is NOTHING:  # of most entries, so not looked up among the mappings
+            del fields[key]
+        elif isinstance(value, collections.abc.Mapping):
             if value:
                 fields[key] = dict(value)
             else:
@@ -413,8 +417,8 @@ def to_json(entry: Entry) -> Dict[str, Any]:
             fields["by"] = list(fields["by"])
         else:
             del fields["by"]
-    for key in _LATER:
-        if not fields.get(key, True):
+    for key in form.later:
+        if not fields[key]:
             del fields[key]
     if kind is Submit and not fields["at"]:
         del fields["at"]
@@ -447,7 +451,7 @@ def from_json(data: Any) -> Entry:
         for name, expected in form.types:
             if name in fields and type(fields[name]) is not expected:
                 raise ValueError("'%s' is not of type %s" % (name, expected.__name__))
-        if form.bounded:
+        if not _BOUNDED.isdisjoint(fields):
             _check_bounds(fields)
         return kind(**fields)
     except (KeyError, TypeError, ValueError, DataError) as error:

@@ -89,17 +89,18 @@ class Rules:
         free for it."""
         if not self.net.is_enabled(state.marking, t):
             return False
-        return all(
-            self._has_free(state, p, t, weight)
-            for p, weight in self.net.inputs[t]
-            if not self.is_resource[p]
-        )
+        for p, weight in self.net.inputs[t]:
+            if not self.is_resource[p] and not self._has_free(state, p, t, weight):
+                return False
+        return True
 
     def may_take(self, state: TeamState, robot: RobotState, t: int) -> bool:
         """Whether the tasks that ``t`` takes are there for ``robot``: those for any robot, and if
         it moves alone, its own."""
+        if t not in self.takes:
+            return True
         alone = robot.name if self.moves_one[t] else ""
-        for p, weight in self.takes.get(t, ()):
+        for p, weight in self.takes[t]:
             mine = (task for task in state.queues.get(p, ()) if self.is_for(task.to, alone))
             if sum(1 for _ in itertools.islice(mine, weight)) < weight:
                 return False
@@ -161,7 +162,7 @@ class Rules:
         return [r for r in robots if self._is_free(state, r, t)]
 
     def _is_free(self, state: TeamState, robot: RobotState, t: int) -> bool:
-        if robot.paused or not self.may_take(state, robot, t):
+        if robot.paused or (t in self.takes and not self.may_take(state, robot, t)):
             return False
         return robot.request == t or (robot.request == POLICY and not self.net.transitions[t].timed)
 

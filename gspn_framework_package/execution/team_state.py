@@ -219,6 +219,8 @@ class TeamState:
 
     def data_of(self, robot: RobotState) -> Dict[str, Any]:
         """The data that an action of ``robot`` may read: full name -> value."""
+        if robot.task is None and not robot.data and not self.data:
+            return {}
         found = {"robot." + name: value for name, value in robot.data.items()}
         found.update(self.team_data())
         if robot.task is not None:

@@ -40,6 +40,8 @@ class Step(NamedTuple):
 
     def game_of(self, firing: int, before: TokenGame) -> TokenGame:
         """The rules under which the firing with this number happened, from 0."""
+        if not self.adopted:
+            return before
         game = before
         for begin, adopted in self.adopted:
             if firing >= begin:

@@ -79,9 +79,17 @@ class Turn:
                     % fired,
                 )
                 self._end("a cycle of immediate transitions", finished=False)
-        active = self.state.active()
-        if self.state.ended is None and active and all(r.phase is Phase.INACTIVE for r in active):
+        if self.state.ended is None and self._is_every_robot_inactive():
             self._end("every robot is in a place without output arcs", finished=True)
+
+    def _is_every_robot_inactive(self) -> bool:
+        inactive = 0
+        for robot in self.state.robots.values():
+            if robot.phase is Phase.INACTIVE:
+                inactive += 1
+            elif not robot.phase.gone:
+                return False
+        return inactive > 0
 
     def _reached_until(self) -> bool:
         if (
@@ -94,6 +102,8 @@ class Turn:
         return False
 
     def _fire_spontaneous(self) -> bool:
+        if not self.rules.spontaneous:
+            return False
         enabled = [t for t in self.rules.spontaneous if self.net.is_enabled(self.state.marking, t)]
         if not enabled:
             return False
@@ -112,6 +122,8 @@ class Turn:
         return True
 
     def _fire_requested(self) -> bool:
+        if not self.state.waiting:
+            return False
         best: Optional[Tuple[int, RobotState]] = None
         refused = set()
         for name in self._in_turn():
@@ -124,7 +136,7 @@ class Turn:
             if not self.rules.may_fire(self.state, t):
                 refused.add(t)
                 continue
-            if not self.rules.may_take(self.state, robot, t):
+            if t in self.rules.takes and not self.rules.may_take(self.state, robot, t):
                 continue
             if best is None or self.rules.urgency[t] > self.rules.urgency[best[0]]:
                 best = (t, robot)
@@ -427,6 +439,8 @@ class Turn:
             if not self.rules.is_resource[p]
             for _ in range(weight)
         ]
+        if len(movers) == len(slots) == 1:
+            return [*slots]
         surplus = len(movers) - len(slots)
         void = set()
         if surplus > 0:

@@ -278,7 +278,8 @@ class Net:
         for p, weight in self.inhibitors[t]:
             if marking[p] >= weight:
                 return False
-        return all(marking[p] + change <= capacity for p, change, capacity in self._capacities[t])
+        limited = self._capacities[t]
+        return not limited or all(marking[p] + change <= most for p, change, most in limited)
 
     def fire(self, marking: Sequence[int], t: int) -> Marking:
         """Return the marking after transition number ``t`` fires in ``marking``.
@@ -476,7 +477,7 @@ class Net:
 
     def named(self, marking: Sequence[int], *, zeros: bool = True) -> Dict[str, int]:
         """Return the marking as place name -> count; empty places are included if ``zeros``."""
-        return {p.name: n for p, n in zip(self.places, marking) if n or zeros}
+        return {name: n for name, n in zip(self.place_index, marking) if n or zeros}
 
     # -- edits: each returns a new net -------------------------------------------------------------
 

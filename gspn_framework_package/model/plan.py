@@ -211,10 +211,13 @@ class Plan:
 
     def action(self, robot: str, place: str) -> Action:
         """Return the action of ``robot`` in ``place``."""
-        for spec in self.robots:
-            if spec.name == robot and place in spec.actions:
-                return spec.actions[place]
-        return self.actions.get(place)
+        own = self._own_actions.get(robot, self.actions)
+        return own[place] if place in own else self.actions.get(place)
+
+    @cached_property
+    def _own_actions(self) -> Dict[str, Mapping[str, Action]]:
+        """The actions of the robots that have some of their own."""
+        return {spec.name: spec.actions for spec in self.robots if spec.actions}
 
     def bindings(self) -> Iterator[Tuple[str, Action]]:
         """Yield every place that is bound to an action, with the action: first those of the team,

@@ -29,6 +29,7 @@ class Electorate:
         self.state = state
         # cached for the present log
         self._members: Tuple[Optional[Ledger], int, List[str]] = (None, 0, [])
+        self._others: List[str] = []
 
         self._first_team = {*(r.name for r in config.plan.robots), *config.plan.witness}
 
@@ -53,11 +54,13 @@ class Electorate:
         ledger, known = self.state.ledger, self._members
         if known[0] is not ledger or known[1] != ledger.length:
             known = self._members = (ledger, ledger.length, ledger.state.members())
+            self._others = [m for m in known[2] if m != self.config.name]
         return known[2]
 
     def others(self) -> List[str]:
         """The members other than us."""
-        return [m for m in self.members() if m != self.config.name]
+        self.members()
+        return self._others
 
     def asserted_off(self) -> Set[str]:
         """The members that an operator asserted to be off. An assertion covers one incarnation: it
@@ -93,6 +96,8 @@ class Electorate:
         """Whether these members may decide the open slot with these items. Without a quorum, they
         have to evict by force every member whose vote is missing: a decision under an assertion,
         without the eviction, could be contradicted when the robot returns."""
+        if not by_all and is_quorum(voters, self.members()):
+            return True
         return self.may_decide(voters, by_all) and not self.not_cast_out(voters, items, by_all)
 
     def not_cast_out(

@@ -100,7 +100,9 @@ class Peers:
 
     def hear(self, robot: str, now: float) -> Peer:
         """Note that a message of the robot arrived."""
-        peer = self.all.setdefault(robot, Peer())
+        peer = self.all.get(robot)
+        if peer is None:
+            peer = self.all[robot] = Peer()
         if peer.heard is not None:
             silence = now - max(peer.heard, self.since)
             peer.gap = max(silence, peer.gap * 0.5 ** (silence / FORGETTING_TIME))

@@ -32,7 +32,7 @@ def is_quorum(voters: Collection[str], members: Sequence[str]) -> bool:
     >>> is_quorum(["a"], ["a", "b"]), is_quorum(["b"], ["a", "b"]), is_quorum(["b", "c"], "abc")
     (True, False, True)
     """
-    count = sum(1 for m in members if m in voters)
+    count = len([m for m in members if m in voters])
     if 2 * count == len(members):
         return count > 0 and members[0] in voters
     return 2 * count > len(members)
