@@ -38,6 +38,21 @@ TraceItem(p, s, entry, robot, life, forced, k) == step.batch[1]
 of_this_life(s, i) ==
   Same("origin", <<i.by, i.incarnation, i.log>>, <<step.robot, s.incarnation, s.log_id>>)
 
+\* A greeting, and that the robot forgets because of it, are one step. So are a new life and its Join
+\* in the specification, but here the Join waits from the beginning.
+forgets(p) ==
+  LET s == state[p] IN
+  /\ \/ acted_before(p, s)
+     \/ /\ s.ledger.logs[name(p)] # s.log_id
+        /\ \E r \in Robot \ {name(p)} :
+             known_log(state[<<r, 0>>], name(p)) \notin {NONE, s.log_id}
+  /\ Step(p, forget(p, s, FALSE), {}, TRUE)
+  /\ UNCHANGED <<proposals, chosen, faults>>
+lives_anew(p) ==
+  /\ ~is_settled(p, state[p])
+  /\ Step(p, new_life(p, state[p]), {}, TRUE)
+  /\ UNCHANGED <<proposals, chosen, faults>>
+
 \* A robot that does not take part yet says what it knows, without a vote; here all take part.
 answer(p, m) ==
   LET t == [state[p] EXCEPT !.frozen_by = @ \/ m.frozen] IN
@@ -58,6 +73,10 @@ TraceStart ==
 
 took(p) ==
   CASE step.what = "resume" -> resume(p)
+    [] step.what = "lose" -> LoseLog(p)
+    [] step.what = "hear" -> hear(p, step.ballot[2], step.ballot[1])
+    [] step.what = "forget" -> forgets(p)
+    [] step.what = "new_life" -> lives_anew(p)
     [] step.what = "move" -> of_this_life(state[p], step.batch[1]) /\ move_alone(p)
     [] step.what = "propose" -> propose(p) /\ (Partial => state'[p].attempt.frozen = step.frozen)
     [] step.what = "promise" ->
@@ -78,7 +97,7 @@ knows(s) ==
   /\ Same("length", length(s.ledger), step.length)
   /\ Same("promised", s.promised, step.promised)
   /\ Same("accepted", s.accepted, step.accepted)
-  /\ step.what = "resume" => Same("incarnation", s.incarnation, step.incarnation)
+  /\ step.what \in {"resume", "new_life"} => Same("incarnation", s.incarnation, step.incarnation)
   /\ step.what = "decide" => Same("decided", s.ledger.log[step.length], step.batch)
 
 TraceNext ==

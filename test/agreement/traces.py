@@ -1,7 +1,7 @@
 """Whether ``spec/agreement.tla`` allows what simulated teams of real replicas do.
 
 A team runs in a simulated network that loses, repeats, delays and reorders messages; its processes
-are suspended, or killed and started again with their logs. Every step of its consensus is noted:
+are suspended, evicted, or killed and started again, with their logs or without. Every step of its consensus is noted:
 what the robot did, and what it then knew. TLC plays the notes on the
 specification (``spec/trace.tla``): each step has to be one of its actions, with the same outcome.
 
@@ -20,18 +20,19 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple, Type, Union
 from unittest import mock
 
 from agreement.plans import make_plan
 from agreement.specification import FOLDER, JAR, why_not
-from agreement.world import ViolationError, Weather, World
+from agreement.world import SimulatedNode, ViolationError, Weather, World
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement.consensus import Consensus
 from gspn_framework_package.execution.agreement.membership import Membership
 from gspn_framework_package.execution.agreement.messages import Batch
 from gspn_framework_package.execution.agreement.proposals import ProposalQueue
 from gspn_framework_package.execution.agreement.quorum import Ballot
+from gspn_framework_package.execution.agreement.replication import Replication
 from gspn_framework_package.execution.agreement.state import is_control
 from gspn_framework_package.execution.event_log import EventLog, read_log
 from gspn_framework_package.execution.ledger import Item, Origin
@@ -72,32 +73,49 @@ class Notes:
     """The steps of a team, as they happen.
 
     :param names: the robots, in the order of the plan.
+    :param beyond: entries with which something begins that the trace does not know.
     """
 
-    def __init__(self, names: Sequence[str]) -> None:
+    def __init__(self, names: Sequence[str], beyond: Tuple[Type[Any], ...]) -> None:
+        self.beyond = beyond
         self.robots = {name: number for number, name in enumerate(names, 1)}
         self.steps: Trace = []
-        self.ended = False  # a member has departed, which traces do not know
+        self.logs: Dict[str, List[str]] = {name: [] for name in names}  # ids, as they appear
+        self.busy: List[str] = []  # what a robot does that is one step of the specification
+        self.ended = False  # something happened that traces do not know
 
     def _item(self, item: Item) -> str:
-        robot, incarnation, number, _ = item.origin
-        by = self.robots[robot]
+        robot, incarnation, number, log = item.origin
+        by = of = self.robots[robot]
         name, life = "Move" if item.private else "Done", 0
         if isinstance(item.entry, log_entries.Join):
             name, life = "Join", item.entry.incarnation
+        elif isinstance(item.entry, log_entries.Evict):
+            name, life, of = "Evict", item.entry.incarnation, self.robots[item.entry.robot]
         elif is_control(item.entry):
             name = "GiveBack"  # the order that the specification knows again and again
         return (
             '[entry |-> "%s", robot |-> %d, life |-> %d, forced |-> FALSE, by |-> %d, '
-            "incarnation |-> %d, number |-> %d, log |-> 1, told_at |-> 0, before |-> <<>>]"
-            % (name, by, life, by, incarnation, number)
+            "incarnation |-> %d, number |-> %d, log |-> %d, told_at |-> 0, before |-> <<>>]"
+            % (name, of, life, by, incarnation, number, self.log(robot, log))
         )
+
+    def log(self, robot: str, id_: str) -> int:
+        """The number of a log of a robot, of which this is the id, or its beginning."""
+        logs = self.logs[robot]
+        for number, known in enumerate(logs, 1):
+            if known.startswith(id_):
+                return number
+        if logs:
+            self.ended = True  # of a log that it lost before anybody heard of it
+        logs.append(id_)
+        return len(logs)
 
     def _batch(self, items: Sequence[Item]) -> str:
         return "<<%s>>" % ", ".join(self._item(item) for item in items)
 
     def _ballot(self, ballot: Any) -> str:
-        log = 1 if ballot.counter else 0
+        log = self.log(ballot.robot, ballot.log) if ballot.counter else 0
         return "<<%d, %d, %d>>" % (ballot.counter, self.robots[ballot.robot], log)
 
     def note(
@@ -109,7 +127,8 @@ class Notes:
     ) -> None:
         """Note a step that a replica has taken."""
         state = part.state
-        if state.ledger.length == 0 or (what == "decide" and state.ledger.length == 1):
+        fresh = state.ledger.length == 0 and len(self.logs[part.config.name]) < 2
+        if fresh or (what == "decide" and state.ledger.length == 1):
             return  # the specification leaves the first slot out
         self.add(
             part.config.name,
@@ -129,7 +148,7 @@ class Notes:
         self, robot: str, what: str, ballot: Ballot, items: Sequence[Item], known: Known
     ) -> None:
         """Add a step of a robot, which then knew this."""
-        self.ended = self.ended or any(isinstance(item.entry, DEPARTURES) for item in items)
+        self.ended = self.ended or any(isinstance(item.entry, self.beyond) for item in items)
         if self.ended:
             return
         accepted = "<<>>"
@@ -144,7 +163,7 @@ class Notes:
                 self.robots[robot],
                 self._ballot(ballot),
                 self._batch(items),
-                known.length - 1,
+                max(0, known.length - 1),
                 self._ballot(known.promised),
                 accepted,
                 known.incarnation,
@@ -155,18 +174,21 @@ class Notes:
 
 @contextlib.contextmanager
 def noting(notes: Notes) -> Iterator[None]:
-    """While this runs, every step of a consensus is noted, and every new life of a robot: as long
-    as nobody departs or loses a log, a life ends only with its process."""
-    promise, persist, next_slot = (
+    """While this runs, every step of a consensus is noted, every new life of a robot, and what it
+    does about a log that it lost."""
+    promise, persist, answer = (
         Consensus._promise,
         Consensus._persist_accepted,
-        Consensus.next_slot,
-    )
-    answer, new_life, move = (
         Consensus._answer_prepare,
-        Membership.new_life,
-        ProposalQueue.add_local_transition,
     )
+    commit, take_snapshot = Replication._commit, Replication._take_snapshot
+    new_life, forget, hear, join = (
+        Membership.new_life,
+        Membership.forget,
+        Membership._note_log,
+        Membership.want_to_join,
+    )
+    move = ProposalQueue.add_local_transition
 
     def promising(self: Consensus, ballot: Any, torn: Any) -> None:
         promise(self, ballot, torn)
@@ -180,68 +202,116 @@ def noting(notes: Notes) -> Iterator[None]:
         mine = ballot.robot == self.config.name
         notes.note(self, "second_phase" if mine else "vote", ballot, batch.items)
 
-    def deciding(self: Consensus, keep_lead: bool, returned: Any) -> None:
-        next_slot(self, keep_lead, returned)
-        ((ballot, batch, _),) = self.state.recent.since(self.state.ledger.length - 1) or ()
-        notes.note(self, "decide", ballot, batch.items)
-
     def answering(self: Consensus, message: Any, body: Any, vote: bool) -> None:
         answer(self, message, body, vote)
         if self.config.partial and not vote:
             notes.note(self, "answer", body.ballot, ())
 
-    def resuming(self: Membership) -> None:
-        new_life(self)
-        notes.note(self, "resume", self.state.promised, ())
+    def deciding(self: Replication, batch: Any, ballot: Any, **how: Any) -> None:
+        length = self.state.ledger.length
+        notes.busy.append("commit")
+        commit(self, batch, ballot, **how)
+        notes.busy.pop()
+        found = self.state.recent.since(length)
+        if self.state.ledger.length != length + 1 or not found:
+            notes.ended = True
+        else:
+            notes.note(self.membership, "decide", ballot, found[0][1].items)
+
+    def learning(self: Replication, *args: Any) -> Any:
+        notes.ended = True
+        return take_snapshot(self, *args)
 
     def moving(self: ProposalQueue, entry: Any, firing: Any) -> Origin:
         origin = move(self, entry, firing)
         notes.note(self, "move", self.state.promised, (Item(entry, origin, True),))
         return origin
 
+    def resuming(self: Membership) -> None:
+        new_life(self)
+        if "commit" not in notes.busy:
+            what = "new_life" if "join" in notes.busy else "resume"
+            notes.note(self, what, self.state.promised, ())
+
+    def joining(self: Membership) -> None:
+        notes.busy.append("join")
+        join(self)
+        notes.busy.pop()
+
+    def forgetting(self: Membership, why: str, keep: bool = False) -> None:
+        forget(self, why, keep)
+        notes.logs[self.config.name].append(self.state.log_id)
+        if "commit" not in notes.busy:
+            notes.ended = notes.ended or keep
+            notes.note(self, "forget", self.state.promised, ())
+
+    def hearing(self: Membership, robot: str, log: str, *, sure: bool) -> None:
+        hear(self, robot, log, sure=sure)
+        number = notes.log(robot, log)
+        if len(notes.logs[self.config.name]) > 1:
+            notes.note(self, "hear", Ballot(number, robot, log), ())
+
     steps = mock.patch.multiple(
         Consensus,
         _promise=promising,
         _answer_prepare=answering,
         _persist_accepted=accepting,
-        next_slot=deciding,
     )
-    lives = mock.patch.object(Membership, "new_life", resuming)
-    with steps, lives, mock.patch.object(ProposalQueue, "add_local_transition", moving):
+    slots = mock.patch.multiple(Replication, _commit=deciding, _take_snapshot=learning)
+    lives = mock.patch.multiple(
+        Membership, new_life=resuming, forget=forgetting, _note_log=hearing, want_to_join=joining
+    )
+    moves = mock.patch.object(ProposalQueue, "add_local_transition", moving)
+    with steps, slots, lives, moves:
         yield
 
 
 def traced(seed: int, robots: int, steps: int = 60, partial: bool = False) -> Trace:
     """Run a team, and return its first steps."""
-    plan = make_plan(seed, robots, partial, 0.0, 0.0, False)
     source = random.Random("traces|%d" % seed)
+    evict_after = 1.0 if source.random() < 0.3 else 0.0
+    plan = make_plan(seed, robots, partial, evict_after, 0.0, False)
     bad = source.random() < 0.7
     weather = Weather(loss=0.2, duplication=0.2, late=0.3) if bad else Weather()
     world = World(plan, seed, weather)
-    notes = Notes([robot.name for robot in plan.robots])
+    notes = Notes([robot.name for robot in plan.robots], (log_entries.Leave,))
     with noting(notes), contextlib.suppress(ViolationError):
         for node in world.nodes.values():
             node.start()
-        _stop_sometimes(world, source)
+        _stop_sometimes(world, source, notes)
         if partial:
             _order_sometimes(world, source)
         world.run(6.0, lambda: notes.ended or len(notes.steps) >= steps)
     return notes.steps[:steps]
 
 
-def _stop_sometimes(world: World, source: random.Random) -> None:
-    """Suspend a robot now and then, so that others take over, or kill it and start it again."""
+def _stop_sometimes(world: World, source: random.Random, notes: Notes) -> None:
+    """Suspend a robot now and then, so that others take over, or evict it; or kill it and start it
+    again, perhaps without its log."""
     node = source.choice(list(world.nodes.values()))
-    until = world.now + source.uniform(0.05, 0.6)
+    until = world.now + source.uniform(0.05, 2.5 if world.plan.timing.evict_after else 0.6)
+    replicas = [each.replica for each in world.nodes.values()]
     begun = node.replica is not None and node.replica.state.ledger.length > 0
-    if begun and source.random() < 0.3:
+    if all(r is not None and r.state.active for r in replicas) and source.random() < 0.2:
+        node.crash()
+        world.at(until, lambda: _start_without_log(world, node, notes))
+    elif begun and source.random() < 0.3:
         node.crash()
         world.at(until, node.start)
     else:
         node.suspended = True
         world.at(until, node.resume)
     pause = source.uniform(0.0, 0.4)
-    world.at(until + pause, lambda: _stop_sometimes(world, source))
+    world.at(until + pause, lambda: _stop_sometimes(world, source, notes))
+
+
+def _start_without_log(world: World, node: SimulatedNode, notes: Notes) -> None:
+    first = Ballot(0, world.plan.robots[0].name)
+    notes.log(node.name, node.log_id)
+    node.lose_log()
+    notes.logs[node.name].append(world.new_log_id(node))
+    notes.add(node.name, "lose", first, (), Known(0, first, None, 0, False))
+    node.start()
 
 
 def _order_sometimes(world: World, source: random.Random) -> None:
@@ -253,7 +323,7 @@ def _order_sometimes(world: World, source: random.Random) -> None:
 
 
 BEYOND = ("reset", "outage", "forced", "snapshot")
-"""The records with which something begins that traces do not know."""
+"""The records with which something begins that traces of logs do not know."""
 
 
 def traced_logs(logs: Sequence[EventLog], steps: int = 300) -> Tuple[Trace, int, bool]:
@@ -273,7 +343,7 @@ def traced_logs(logs: Sequence[EventLog], steps: int = 300) -> Tuple[Trace, int,
         raise LogError("not the logs of exactly %s" % ", ".join(robots))
     if len({log.header.get("host") for log in logs}) > 1:
         raise LogError("only the clock of one machine orders what robots do")
-    notes, first = Notes(robots), Ballot(0, robots[0])
+    notes, first = Notes(robots, DEPARTURES), Ballot(0, robots[0])
     known = {name: Known(1, first, None, 0, False) for name in robots}
     records = [(r["mono"], log.robot, r) for log in logs for r in log.records]
     alone = {tuple(r["origin"]) for _, _, r in records if r["kind"] == "private"}
@@ -370,11 +440,11 @@ def _configuration(robots: int, partial: bool, holds: bool) -> str:
         "Holds": str(partial and holds).upper(),
         "MaxLength": "1000",
         "MaxCounter": "1000",
-        "MaxLogs": "1",
+        "MaxLogs": "1000",
     }
     faults = "Restarts Losses Outages Evictions Assertions Moves Pauses GiveBacks"
     constants.update(dict.fromkeys(faults.split(), "0"), Restarts="1000")
-    constants.update(Moves="1000", Pauses="1")
+    constants.update(Losses="1000", Moves="1000", Pauses="1")
     lines = ["SPECIFICATION TraceSpec", "CONSTANTS"]
     lines += ["  %s = %s" % pair for pair in constants.items()]
     lines += ["  batches <- TraceBatches", "  counters <- TraceCounters"]

@@ -13,14 +13,25 @@ from agreement.mutants import MUTANTS
 from agreement.plans import make_plan
 from agreement.world import Weather, World
 from gspn_framework_package.execution.agreement.consensus import Consensus
+from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.model.errors import LogError
 
-REFUSED = ("promises", "accepted values", "any vote", "keeps leading", "blind learning")
+REFUSED = (
+    "promises",
+    "accepted values",
+    "any vote",
+    "keeps leading",
+    "blind learning",
+    "no memory",
+)
 """Seeded faults with which a team of three does what the specification does not allow."""
 
 REFUSED_PARTIAL = ("quorum only", "no freeze", "accepted values")
 """The same in partial synchronisation."""
+
+EVICTED = (39, 55, 60, 79)
+"""Seeds with which a robot is evicted, and hears of it before it wants something."""
 
 pytestmark = pytest.mark.skipif(bool(specification.why_not()), reason=specification.why_not())
 
@@ -31,6 +42,7 @@ def test_the_specification_allows_what_replicas_do(robots: int, partial: bool) -
     runs = [traces.traced(seed, robots, 24, partial) for seed in range(40)]
     for kind in ("propose", "resume", *(["move", "answer"] if partial else [])):
         assert sum(any('"%s"' % kind in step for step in steps) for steps in runs) > 5
+    assert any('"forget"' in step for steps in runs for step in steps)
     for entry in ("Join", *(["Move", "GiveBack"] if partial else [])):
         assert sum('"%s"' % entry in step for steps in runs for step in steps) > 10
     assert traces.check(runs, robots, partial) == []
@@ -39,17 +51,20 @@ def test_the_specification_allows_what_replicas_do(robots: int, partial: bool) -
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("partial, faults", [(False, REFUSED), (True, REFUSED_PARTIAL)])
 def test_a_team_with_a_seeded_fault_is_refused(partial: bool, faults: Tuple[str, ...]) -> None:
-    runs, owners, each = [], [], 8 if partial else 4
+    runs, owners, each = [], [], 12 if partial else 4
     for mutant in MUTANTS:
         if mutant.name in faults:
             with mutant.apply():
                 runs += [traces.traced(seed, 3, 40, partial) for seed in range(each)]
             owners += [mutant.name] * each
     with mock.patch.object(Consensus, "restore", lambda *_: None):  # no votes after a restart
-        runs += [traces.traced(seed, 3, 40, partial) for seed in range(10)]
-    owners += ["forgets"] * 10
+        runs += [traces.traced(seed, 3, 40, partial) for seed in range(24)]
+    owners += ["forgets"] * 24
+    with mock.patch.object(Electorate, "may_vote", lambda self: self.state.active):
+        runs += [traces.traced(seed, 3, 60, partial) for seed in EVICTED]
+    owners += ["evicted"] * len(EVICTED)
     refused = traces.check(runs, 3, partial)
-    assert {owners[one.trace - 1] for one in refused} == {*faults, "forgets"}
+    assert {owners[one.trace - 1] for one in refused} == {*faults, "forgets", "evicted"}
     again = [one for one in refused if '"resume"' in one.text]
     assert {one.differs[0] for one in again if one.differs} == {"promised"}
     assert any(one.differs and one.differs[0] in ("accepted", "promised") for one in refused)
