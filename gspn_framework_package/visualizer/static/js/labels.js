@@ -123,7 +123,6 @@ export class Labels {
     }
     const size = Math.max(k, 1) * FONT * Math.min(1, 1.06 - 0.06 / Math.max(k, 0.2)); // on the screen
     const shown = Math.max(SMALLEST, size);
-    view.container.style.setProperty("--label", `${(shown / k).toFixed(2)}px`);
 
     this.chosen = view.selection && view.nodeOf(view.selection);
     this.beside = new Set(
@@ -166,10 +165,11 @@ export class Labels {
       const box = element.getBoundingClientRect();
       this.fixed.add([box.left - left, box.top - top, box.right - left, box.bottom - top]);
     }
-    for (const { node, sx, sy } of seen) {
+    for (const { node, sx } of seen) {
       if (!node.value) continue;
       const half = (node.value.textContent.length * shown * 0.6) / 2,
-        base = sy + Number(node.value.getAttribute("y")) * k;
+        base = Number(node.value.getAttribute("y")) * k + y;
+      node.value.style.fontSize = `${(shown / k).toFixed(2)}px`;
       this.fixed.add([sx - half, base - this.line * 0.85, sx + half, base + this.line * 0.15]);
     }
 
@@ -327,8 +327,10 @@ export class Labels {
       node.label = s("text.label", node.text);
       node.element.append(node.label);
     }
-    node.label.setAttribute("x", spot[0].toFixed(1));
-    node.label.setAttribute("y", spot[1].toFixed(1));
+    // not inherited from the drawing: that would compute the style of everything in it anew
+    node.label.style.fontSize = `${(this.shown / this.k).toFixed(2)}px`;
+    node.label.setAttribute("x", (node.base[0] + spot[0]).toFixed(1));
+    node.label.setAttribute("y", (node.base[1] + spot[1]).toFixed(1));
   }
 
   close() {

@@ -129,7 +129,7 @@ export class Camera {
     this.view.arcs.zoomed(k);
     this.view.container.classList.toggle("far", k < FAR);
     // inherited by every element below; changed in steps, so that not every zoom step restyles all of them
-    const bold = 2 ** (Math.round(4 * Math.log2(Math.max(1, THIN / k))) / 4);
+    const bold = 2 ** (Math.round(2 * Math.log2(Math.max(1, THIN / k))) / 2);
     if (bold !== this.bold) this.view.container.style.setProperty("--bold", bold.toFixed(2));
     this.bold = bold;
     this.cull();

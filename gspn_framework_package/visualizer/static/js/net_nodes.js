@@ -19,21 +19,68 @@ const DOTS = Array.from({ length: MOST + 1 }, (_, count) =>
 
 export const at = ({ x, y }) => `translate(${x.toFixed(1)} ${y.toFixed(1)})`;
 
-export function buildPlace(node, place) {
-  return s(
-    "g",
-    { class: `place ${place.kind}`, transform: at(node), "data-place": node.index },
-    s("title", place.name),
+const SPOTS = { circle: ["cx", "cy"], rect: ["x", "y"], text: ["x", "y"] };
+
+/** Move a part of a symbol. */
+function shift(part, [dx, dy]) {
+  const moved = (text) =>
+    text.replace(/([M(])(-?[\d.]+) (-?[\d.]+)/g, (_, begin, x, y) => {
+      return `${begin}${(Number(x) + dx).toFixed(2)} ${(Number(y) + dy).toFixed(2)}`;
+    });
+  SPOTS[part.localName]?.forEach((name, i) => {
+    part.setAttribute(name, (Number(part.getAttribute(name)) + [dx, dy][i]).toFixed(2));
+  });
+  if (part.localName === "path") part.setAttribute("d", moved(part.getAttribute("d")));
+  if (part.localName === "g")
+    part.setAttribute("transform", moved(part.getAttribute("transform") || at({ x: 0, y: 0 })));
+}
+
+/** Add a part to the symbol of a node, drawn around (0, 0). */
+export function put(node, part) {
+  shift(part, node.base);
+  node.element.append(part);
+  return part;
+}
+
+/** Show a symbol where its node is now, for as long as the node moves: a large net with a transform for each node takes
+ * a multiple of the time to draw. */
+export function follow(node) {
+  const [x, y] = [node.x - node.base[0], node.y - node.base[1]];
+  node.element.setAttribute("transform", at({ x, y }));
+}
+
+/** Draw a symbol where its node is now. */
+export function settle(node) {
+  const way = [node.x - node.base[0], node.y - node.base[1]];
+  node.base = [node.x, node.y];
+  node.element.removeAttribute("transform");
+  if (way[0] || way[1]) for (const part of node.element.children) shift(part, way);
+}
+
+/** Make the symbol of a node where it is: `node.base` is where it is drawn. */
+function build(node, attributes, name, ...parts) {
+  node.base = [node.x, node.y];
+  node.element = s("g", attributes, s("title", name));
+  for (const part of parts) if (part) put(node, part);
+}
+
+export function buildPlace(node, { name, kind }) {
+  const box = { x: -27, y: -27, width: 54, height: 54, rx: 7 };
+  build(
+    node,
+    { class: `place ${kind}`, "data-place": node.index },
+    name,
+    kind === "subnet-box" && s("rect.box", box),
     s("circle", { r: RADIUS }),
   );
 }
 
-export function buildTransition(node, transition) {
+export function buildTransition(node, { name }) {
   const [w, h] = BAR[node.kind];
-  return s(
-    "g",
-    { class: `transition ${node.kind}`, transform: at(node), "data-transition": node.index },
-    s("title", transition.name),
+  build(
+    node,
+    { class: `transition ${node.kind}`, "data-transition": node.index },
+    name,
     node.kind === "immediate" && s("rect.hit", { x: -12, y: -h, width: 24, height: 2 * h }),
     s("rect.body", { x: -w, y: -h, width: 2 * w, height: 2 * h, rx: 1 }),
   );
@@ -69,7 +116,7 @@ function drawDots(node, count, robotsHere = false) {
       ? s("path.dots", { d: DOTS[count], "data-count": count })
       : s("text.count", count < 100000 ? String(count) : "99999+");
   if (count > 999) node.dots.style.fontSize = count > 9999 ? "10px" : "12px";
-  node.element.append(node.dots);
+  put(node, node.dots);
 }
 
 function drawRobots(node, robots) {
@@ -111,7 +158,7 @@ function drawRobots(node, robots) {
         );
       }),
   );
-  node.element.append(node.robots);
+  put(node, node.robots);
 }
 
 export function drawEnabled(node, enabled) {
@@ -120,7 +167,7 @@ export function drawEnabled(node, enabled) {
   node.element.classList.toggle("enabled", enabled);
   if (enabled && !node.flag) {
     node.flag = s("path.flag", { d: `M-6 ${-BAR[node.kind][1] - 11}h12l-6 7z` });
-    node.element.append(node.flag);
+    put(node, node.flag);
   }
 }
 
@@ -144,7 +191,7 @@ export function drawLost(node, robots) {
       ),
     ),
   );
-  node.element.append(node.lost);
+  put(node, node.lost);
 }
 
 const MARKS = ["bad", "good", "mark", "best", "present", "both"];
@@ -167,6 +214,6 @@ export function paintNode(node, wanted) {
       y: -(node.kind === "place" ? RADIUS : BAR[node.kind][1] + 11) - 6,
       text: wanted.text,
     });
-    node.element.append(node.value);
+    put(node, node.value);
   }
 }

@@ -54,7 +54,7 @@ export class Pointer {
 
   /** End a gesture that has become another one. */
   cancel() {
-    if (this.gesture?.moved && this.gesture.node) this.view.dropNode();
+    if (this.gesture?.moved && this.gesture.node) this.view.dropNode(this.gesture.node);
     this.gesture = null;
   }
 
@@ -128,7 +128,7 @@ export class Pointer {
     view.container.classList.remove("dragging");
     if (!gesture) return;
     if (gesture.moved) {
-      if (gesture.node) view.dropNode();
+      if (gesture.node) view.dropNode(gesture.node);
       return;
     }
     if (event.type !== "pointerup") return;

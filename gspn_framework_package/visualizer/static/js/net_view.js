@@ -7,13 +7,14 @@ import { boundsOf } from "./geometry.js";
 import { Camera } from "./net_camera.js";
 import { Pointer } from "./net_pointer.js";
 import {
-  at,
   buildPlace,
   buildTransition,
   drawPlace,
   drawLost,
   drawEnabled,
   paintNode,
+  follow,
+  settle,
 } from "./net_nodes.js";
 import { KeptPositions } from "./kept_positions.js";
 import { Travel } from "./travel.js";
@@ -82,10 +83,8 @@ export class NetView extends EventTarget {
       s("svg", { class: name, "aria-hidden": "true" }, ...content);
     this.tiles = new Map();
     for (const node of this.nodes) {
-      node.element =
-        node.kind === "place"
-          ? buildPlace(node, scene.places[node.index])
-          : buildTransition(node, scene.transitions[node.index]);
+      if (node.kind === "place") buildPlace(node, scene.places[node.index]);
+      else buildTransition(node, scene.transitions[node.index]);
       this.tileOf(node).append(node.element);
     }
     const counts = `${scene.places.length} places, ${scene.transitions.length} transitions`;
@@ -102,7 +101,7 @@ export class NetView extends EventTarget {
     );
     this.moving = [...Object.values(this.layer), ...this.tiles.values()];
     this.subnets.apply();
-    for (const node of this.nodes) node.element.setAttribute("transform", at(node));
+    for (const node of this.nodes) settle(node);
     this.arcs.route(this.nodes);
   }
 
@@ -264,7 +263,7 @@ export class NetView extends EventTarget {
   /** Subnets were folded or unfolded. */
   refold() {
     this.subnets.apply();
-    for (const node of this.nodes) node.element.setAttribute("transform", at(node));
+    for (const node of this.nodes) settle(node);
     this.arcs.route(this.nodes);
     this.reset();
     this.labels.later();
@@ -281,7 +280,7 @@ export class NetView extends EventTarget {
       other.home = [other.home[0] + dx, other.home[1] + dy];
       Object.assign(other, { x, y, moved: true });
     }
-    node.element.setAttribute("transform", at(node));
+    follow(node);
     if (!this.routing)
       this.routing = requestAnimationFrame(() => {
         this.routing = 0;
@@ -290,7 +289,8 @@ export class NetView extends EventTarget {
   }
 
   /** A node was released. */
-  dropNode() {
+  dropNode(node) {
+    settle(node);
     this.arcs.route(this.nodes);
     this.kept.write(this.nodes);
     this.labels.later();
@@ -301,7 +301,7 @@ export class NetView extends EventTarget {
     this.kept.forget();
     this.put(layout);
     this.subnets.apply();
-    for (const node of this.nodes) node.element.setAttribute("transform", at(node));
+    for (const node of this.nodes) settle(node);
     this.arcs.route(this.nodes);
     this.camera.fit();
     this.labels.later();

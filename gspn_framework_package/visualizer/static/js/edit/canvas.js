@@ -6,7 +6,7 @@ import { ArcRoutes } from "../arc_routes.js";
 import { arcLine, arcEnd, boundsOf } from "../geometry.js";
 import { Camera } from "../net_camera.js";
 import { Labels } from "../labels.js";
-import { at, buildPlace, buildTransition, drawPlace } from "../net_nodes.js";
+import { buildPlace, buildTransition, drawPlace, follow, put, settle } from "../net_nodes.js";
 import { sizeAt } from "../net_arcs.js";
 import { arcKey, nodeKey } from "./net_edits.js";
 
@@ -196,6 +196,7 @@ export class Canvas extends EventTarget {
       }
     }
     if (touched.length <= FEW) this.lift(touched);
+    else touched.forEach(settle);
     for (const [key, node] of this.byKey) {
       if (node.type !== kind || seen.has(key)) continue;
       node.element.remove();
@@ -220,11 +221,8 @@ export class Canvas extends EventTarget {
     node.look = look;
     node.kind = node.type === "place" ? "place" : look;
     node.index = node.name;
-    if (node.type === "place") {
-      node.element = buildPlace(node, { name: node.name, kind: look });
-      if (look === "subnet-box")
-        node.element.prepend(s("rect.box", { x: -27, y: -27, width: 54, height: 54, rx: 7 }));
-    } else node.element = buildTransition(node, { name: node.name });
+    if (node.type === "place") buildPlace(node, { name: node.name, kind: look });
+    else buildTransition(node, { name: node.name });
     Object.assign(node, { count: undefined, dots: null, label: null, value: null, sign: null });
     node.element.classList.toggle("selected", this.chosen.has(node.key));
     this.drawTokens(node);
@@ -254,7 +252,7 @@ export class Canvas extends EventTarget {
   moveTo(node, x, y) {
     if (node.x === x && node.y === y) return;
     [node.x, node.y] = [x, y];
-    node.element.setAttribute("transform", at(node));
+    follow(node);
     this.moved = true;
     this.request();
   }
@@ -285,6 +283,7 @@ export class Canvas extends EventTarget {
   settle() {
     clearTimeout(this.quiet);
     this.quiet = 0;
+    this.lifted.forEach(settle);
     this.lifted.clear();
     const { arcs, nodes, liftedArcs, liftedNodes } = this.layer;
     arcs.append(...liftedArcs.children);
@@ -434,7 +433,7 @@ export class Canvas extends EventTarget {
       s("circle", { r: 8 }),
       s("text", mark.level === "note" ? "i" : "!"),
     );
-    node.element.append(node.sign);
+    put(node, node.sign);
   }
 
   /** Show other tokens than the document's: place -> count; null: those of the document. */
