@@ -152,8 +152,13 @@ def test_dots_up_to_nine_then_a_number(show_net, open_page):
     assert page.locator("text.count").count() == 3
     for count in range(2, 10):
         centres = page.evaluate(
-            """(n) => document.querySelector(`path.dots[data-count="${n}"]`).getAttribute("d").split("M").slice(1)
-              .map((dot) => dot.split(/[ a]/).slice(0, 2).map(Number)).map(([x, y]) => [x + 3.4, y])""",
+            """(n) => {
+              const dots = document.querySelector(`path.dots[data-count="${n}"]`);
+              const circle = dots.parentNode.querySelector("circle");
+              const [cx, cy] = ["cx", "cy"].map((name) => Number(circle.getAttribute(name)));
+              return dots.getAttribute("d").split("M").slice(1)
+                .map((dot) => dot.split(/[ a]/).slice(0, 2).map(Number))
+                .map(([x, y]) => [x + 3.4 - cx, y - cy]); }""",
             count,
         )
         for x, y in centres:
