@@ -167,10 +167,11 @@ def _measured(nodes: int, server: WebServer, seconds: float) -> Dict[str, Any]:
     result: Dict[str, Any] = {"nodes": nodes}
     with chromium() as browser:
         page = browser.new_page(viewport=SCREEN)
+        page.set_default_timeout(120_000)
         page.goto(server.invitations["operator"])
         page.click("#opening button:has-text('%s')" % NAME)
         page.click("#ed-open")
-        page.wait_for_selector("body[data-mode=EDIT][data-ready]", timeout=60_000)
+        page.wait_for_selector("body[data-mode=EDIT][data-ready]")
         page.wait_for_timeout(2000)
         for what in WORKS:
             page.evaluate(PREPARE, what)
