@@ -79,17 +79,9 @@ class Turn:
                     % fired,
                 )
                 self._end("a cycle of immediate transitions", finished=False)
-        if self.state.ended is None and self._is_every_robot_inactive():
+        phases = [r.phase for r in self.state.robots.values() if not r.phase.gone]
+        if self.state.ended is None and 0 < len(phases) == phases.count(Phase.INACTIVE):
             self._end("every robot is in a place without output arcs", finished=True)
-
-    def _is_every_robot_inactive(self) -> bool:
-        inactive = 0
-        for robot in self.state.robots.values():
-            if robot.phase is Phase.INACTIVE:
-                inactive += 1
-            elif not robot.phase.gone:
-                return False
-        return inactive > 0
 
     def _reached_until(self) -> bool:
         if (
