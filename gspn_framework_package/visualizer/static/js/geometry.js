@@ -107,56 +107,27 @@ export function dots(count) {
   return patterns[count];
 }
 
+const ROWS = ["", "1", "2", "", "22", "23", "33", "232", "323", "333"]; // robots in each row, by their number
+const FEW = { 1: [12.5, 0], 2: [8.6, 18], 4: [7.4, 15.6] }; // radius and distance of up to four
+
 /** Centres and radius of `count` (1 to 9) robots in a place; `square`: rounded squares in rows, which gives each
  * number as much space as possible. */
 export function discs(count) {
-  if (count === 1) return { radius: 12.5, centres: [[0, 0]] };
-  if (count === 2)
-    return {
-      radius: 8.6,
-      centres: [
-        [-9, 0],
-        [9, 0],
-      ],
-    };
-  if (count === 3)
-    return {
-      radius: 7.8,
-      centres: [
-        [0, -9.2],
-        [-8.3, 5.4],
-        [8.3, 5.4],
-      ],
-    };
-  if (count === 4)
-    return {
-      radius: 7.4,
-      centres: [
-        [-7.8, -7.8],
-        [7.8, -7.8],
-        [-7.8, 7.8],
-        [7.8, 7.8],
-      ],
-    };
-  const radius = 6.6,
-    step = 2 * radius + 0.8;
-  const rows =
-    count === 5
-      ? [2, 3]
-      : count === 6
-        ? [3, 3]
-        : count === 7
-          ? [2, 3, 2]
-          : count === 8
-            ? [3, 2, 3]
-            : [3, 3, 3];
+  const triangle = [
+    [0, -9.2],
+    [-8.3, 5.4],
+    [8.3, 5.4],
+  ];
+  if (count === 3) return { radius: 7.8, centres: triangle };
+  const [radius, step] = FEW[count] || [6.6, 14];
+  const rows = [...ROWS[count]].map(Number);
   const centres = rows.flatMap((across, row) =>
     Array.from({ length: across }, (_, i) => [
       (i - (across - 1) / 2) * step,
       (row - (rows.length - 1) / 2) * step,
     ]),
   );
-  return { radius, centres, square: true };
+  return { radius, centres, square: count > 4 };
 }
 
 /** The box around nodes, [left, top, right, bottom]: `margin` wider than their centres, at the top `above`; null

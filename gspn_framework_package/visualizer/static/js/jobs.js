@@ -5,6 +5,22 @@ import { get, post } from "./api.js";
 
 const POLL = 250;
 
+/** Follow an analysis: calls `seen(report)` whenever something is known, until it ends or `seen` returns true. Returns
+ * its last report. */
+export async function followJob(key, seen) {
+  for (;;) {
+    await new Promise((resolve) => {
+      setTimeout(resolve, POLL);
+    });
+    const report = await get(`analysis/${key}`).catch((error) => ({
+      state: "failed",
+      error: error.message,
+      seconds: 0,
+    }));
+    if (seen(report) || report.state !== "running") return report;
+  }
+}
+
 /** One analysis at a time, for one panel. */
 export class BackgroundJob {
   /** `session`: the open net. `status`: where the progress is shown. `cancelId`: id of the button that cancels. */
@@ -51,26 +67,17 @@ export class BackgroundJob {
   }
 
   async follow(job, found) {
-    while (this.job === job) {
-      await new Promise((resolve) => {
-        setTimeout(resolve, POLL);
-      });
-      const report = await get(`analysis/${job.key}`).catch((error) => ({
-        state: "failed",
-        error: error.message,
-        seconds: 0,
-      }));
-      if (this.job !== job) return null;
-      if (report.result) found(report.result);
-      if (report.state === "running") {
-        this.showProgress(report);
-        continue;
-      }
-      this.job = null;
-      this.showEnd(report);
-      return { ...report, key: job.key };
-    }
-    return null;
+    const left = () => this.job !== job;
+    const report = await followJob(job.key, (known) => {
+      if (left()) return true;
+      if (known.result) found(known.result);
+      if (known.state === "running") this.showProgress(known);
+      return false;
+    });
+    if (left()) return null;
+    this.job = null;
+    this.showEnd(report);
+    return { ...report, key: job.key };
   }
 
   showEnd(report) {

@@ -173,7 +173,7 @@ export class Room extends EventTarget {
       this.picture = {
         of: room,
         ink: colours[0],
-        canvas: pictureOf(room.grid, ...colours),
+        canvas: mapPicture(room.grid, ...colours),
       };
     const [[left, low], [right, high]] = room.bounds.map(at);
     c.imageSmoothingEnabled = false;
@@ -293,7 +293,7 @@ function extent(room, points) {
 }
 
 /** A map of cells as a picture: walls in `ink`, what is free in `paper`; the first row is the lowest. */
-function pictureOf({ width, height, runs }, ink, paper) {
+function mapPicture({ width, height, runs }, ink, paper) {
   const picture = Object.assign(document.createElement("canvas"), { width, height });
   const c = picture.getContext("2d");
   let cell = 0;

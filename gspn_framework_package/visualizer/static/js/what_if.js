@@ -3,10 +3,10 @@
 
 import { h, labelled, menu, number, options, question, refill } from "./dom.js";
 import { get, post } from "./api.js";
+import { followJob } from "./jobs.js";
 import { band, Chart, showBands } from "./plot.js";
 
 const REST = 400; // ms without a change after which the longer simulation begins
-const POLL = 150; // ms
 const TIMES = 1; // the sliders of factors go from 10^-TIMES to 10^TIMES, in steps of STEP of the exponent
 const STEP = 0.02;
 const HORIZON = 600; // s shown where no run is observed
@@ -159,16 +159,11 @@ export class WhatIf {
     );
     if (!answer || this.looking || this.closed) return;
     this.job = answer.job;
-    while (this.job === answer.job) {
-      await new Promise((resolve) => {
-        setTimeout(resolve, POLL);
-      });
-      const report = await get(`analysis/${answer.job}`).catch(() => ({ state: "failed" }));
-      if (this.job !== answer.job || report.state === "running") continue;
-      this.job = null;
-      const found = report.result?.prediction;
-      if (found) this.show({ ...found, seconds: next.time, whole: true });
-    }
+    const report = await followJob(answer.job, () => this.job !== answer.job);
+    if (this.job !== answer.job) return;
+    this.job = null;
+    const found = report.result?.prediction;
+    if (found) this.show({ ...found, seconds: next.time, whole: true });
   }
 
   show(found) {
