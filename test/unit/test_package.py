@@ -444,6 +444,17 @@ def test_no_two_scripts_of_the_page_import_each_other():
     assert cycles(imported) == []
 
 
+def test_the_style_of_the_page_keeps_to_a_grid_and_two_weights():
+    """Distances are multiples of 4 px; up to 2 px are the edge of something."""
+    for path in (PAGE.parent / "css").glob("*.css"):
+        text = path.read_text("utf-8")
+        for rule in re.findall(r"\b(?:padding|margin|gap)[a-z-]*:[^;}]+", text):
+            for size in re.findall(r"([\d.]+)px", rule):
+                assert float(size) <= 2 or float(size) % 4 == 0, "%s: %s" % (path.name, rule)
+        weights = re.findall(r"font(?:-weight)?: ?(\d00)\b", text)
+        assert set(weights) <= {"400", "600"}, (path.name, weights)
+
+
 def test_the_page_preloads_each_of_its_scripts():
     text = (PACKAGE / "visualizer" / "static" / "index.html").read_text("utf-8")
     preloaded = re.findall(r'<link rel="modulepreload" href="/static/js/([^"]+)">', text)
