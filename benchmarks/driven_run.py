@@ -125,7 +125,7 @@ class DrivenRun(Visits):
             except StopIteration:
                 p = self.plan.net.place_index[command.place]
                 entry = self._done(
-                    command, self._outcome(p, self.timing.of(command.robot, p).outcomes)
+                    command, self._outcome(self.timing.of(command.robot, p).outcomes)
                 )
             except ActionFailed as error:
                 self.failures.append("%s at %.1f s: %s" % (name, self.team.time, error))

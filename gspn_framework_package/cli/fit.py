@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from typing import List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Iterator, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.analysis.executors import Executor, open_executor
 from gspn_framework_package.analysis.fitting import FitReport, PlaceFit, family_choices, fit_plan
@@ -68,6 +68,10 @@ _OPTIONS: Arguments = {
 }
 
 _OUTPUT: Arguments = {
+    "--per-robot": (
+        "where robots differ, give each its own durations, outcomes and failures (own_times): "
+        "simulations and comparisons follow them"
+    ),
     Argument("--within", "PERCENT", numbers.number(0.01, 100.0), 5.0): (
         "how exact each value should be: what half of its 95 %% interval may be, in percent of a "
         "mean duration or a rate, or in points of a probability; the output says how much more log "
@@ -93,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
     if not args.force:
         refuse_existing(path, "give the name of a new file, or --force")
     learned = learn(plan, args.logs, args.durations, args.seed, args.on)
-    new = learned.report.apply(plan, learned.logs)
+    new = learned.report.apply(plan, learned.logs, args.per_robot)
     data = plan_document(args.plan, new, os.path.dirname(os.path.abspath(path)))
     notes: List[str] = []
     try:
@@ -227,19 +231,33 @@ def fit_table(report: FitReport) -> List[str]:
         for row in rows
     ]
     for place, found in report.places.items():
-        shares = list(found.outcomes.items()) if len(found.outcomes) > 1 else []
-        if found.failure is not None:
-            shares.append(("failure", found.failure))
-        for name, share in shares:
-            counted = share.seen, share.total, share.probability, *share.interval
-            what = place, name or "no transition named"
-            lines.append("%s: %s %d of %d: %.3g (%.3g to %.3g)" % (*what, *counted))
+        lines += _shares(place, found, ("outcomes", "failures"))
+    for robot, keys in report.own.items():
+        for key, places in keys.items():
+            for place, found in places.items():
+                label = "%s in %s" % (robot, place)
+                if key == "durations" and found.fit is not None:
+                    lines.append(
+                        "%s: mean %.4g s (%.4g to %.4g), n = %d"
+                        % (label, found.fit.duration.mean, *found.fit.interval, found.n)
+                    )
+                lines += _shares(label, found, (key,))
     for name, event in report.rates.items():
         lines.append(
             "%s: %d firings, %.4g/s (%.4g to %.4g)"
             % (name, event.seen, event.rate, *event.interval)
         )
     return lines
+
+
+def _shares(label: str, found: PlaceFit, keys: Sequence[str]) -> Iterator[str]:
+    shares = list(found.outcomes.items()) if "outcomes" in keys and len(found.outcomes) > 1 else []
+    if found.failure is not None and "failures" in keys:
+        shares.append(("failure", found.failure))
+    for name, share in shares:
+        counted = share.seen, share.total, share.probability, *share.interval
+        what = label, name or "no transition named"
+        yield "%s: %s %d of %d: %.3g (%.3g to %.3g)" % (*what, *counted)
 
 
 def needs_text(report: FitReport, within: float) -> List[str]:

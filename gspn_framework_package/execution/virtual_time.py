@@ -125,7 +125,7 @@ class VirtualRun:
         self._heap: List[Tuple[float, float, int, Optional[StartAction], log_entries.Entry]] = []
         self._numbers = itertools.count()
         self._running: Dict[str, Tuple[int, int]] = {}  # robot -> visit, attempt
-        self._choices: Dict[int, Tuple[List[str], List[float]]] = {}
+        self._choices: Dict[Tuple[Tuple[int, float], ...], Tuple[List[str], List[float]]] = {}
         self._firings = [0] * len(plan.net.transitions)
         self._tokens = [0.0] * len(plan.net.places)
         self._counted_from = 0.0
@@ -388,18 +388,18 @@ class VirtualRun:
             return timeout, command.timed_out(timeout)
         if timing.failure > 0 and self._random.random() < timing.failure:
             return seconds, command.failed(Outcome.ABORTED, "a simulated failure")
-        result = self._outcome(p, timing.outcomes)
+        result = self._outcome(timing.outcomes)
         return seconds, log_entries.Done(command.robot, command.incarnation, command.visit, result)
 
-    def _outcome(self, p: int, outcomes: Tuple[Tuple[int, float], ...]) -> str:
+    def _outcome(self, outcomes: Tuple[Tuple[int, float], ...]) -> str:
         if len(outcomes) < 2:
             return self._result(outcomes[0][0]) if outcomes else ""
-        if p not in self._choices:
-            self._choices[p] = (
+        if outcomes not in self._choices:
+            self._choices[outcomes] = (
                 [self._result(t) for t, _ in outcomes],
                 list(itertools.accumulate(chance for _, chance in outcomes)),
             )
-        names, levels = self._choices[p]
+        names, levels = self._choices[outcomes]
         number = self._random.random() * levels[-1]
         return next((n for n, level in zip(names, levels) if number < level), names[-1])
 

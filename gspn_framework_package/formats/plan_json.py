@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple, Union
 
 import jsonschema
 
@@ -26,6 +26,7 @@ from gspn_framework_package.model.plan import (
     MAX_ROBOTS,
     LostKind,
     LostRule,
+    OwnTimes,
     Plan,
     RobotSpec,
     Synchronisation,
@@ -178,11 +179,10 @@ def plan_from_json(
         on_lost=_lost_rule(data.get("on_lost", "hold")),
         on_evict=data.get("on_evict", {}),
         until=until,
-        durations={p: _duration(p, d) for p, d in data.get("durations", {}).items()},
-        outcomes={p: o["probabilities"] for p, o in data.get("outcomes", {}).items()},
-        failures={p: f["probability"] for p, f in data.get("failures", {}).items()},
+        **_times(data),
+        own_times=_own_times(data.get("own_times", {}), robots, file),
         chance=frozenset(data.get("chance", ())),
-        evidence=_evidence(data),
+        evidence=_evidence(data, _LEARNED),
         events={t: EventSource.from_json(e) for t, e in data.get("events", {}).items()},
         tasks=Tasks.from_json(data.get("tasks", {})),
         subnets={name: Subnet.from_json(s) for name, s in data.get("subnets", {}).items()},
@@ -201,23 +201,55 @@ def plan_from_json(
     return with_parts(plan.with_rates(rates), parts).validate()
 
 
-LEARNED = ("durations", "outcomes", "failures", "rates")
+_TIMES = ("durations", "outcomes", "failures")
+
+_LEARNED = (*_TIMES, "rates")
+
+LEARNED = (*_LEARNED, "own_times")
 """The keys whose entries may say ``of`` what they were learned."""
 
 
-def _duration(place: str, data: Dict[str, Any]) -> Duration:
+def _times(data: Dict[str, Any], within: str = "") -> Dict[str, Any]:
+    """The durations, outcomes and failures of a plan, or of one robot of it."""
+    return {
+        "durations": {
+            p: _duration("%sdurations.%s" % (within, p), d)
+            for p, d in data.get("durations", {}).items()
+        },
+        "outcomes": {p: o["probabilities"] for p, o in data.get("outcomes", {}).items()},
+        "failures": {p: f["probability"] for p, f in data.get("failures", {}).items()},
+    }
+
+
+def _own_times(data: Dict[str, Any], robots: Any, file: Optional[str]) -> Dict[str, OwnTimes]:
+    found = {}
+    known = None if robots is None else {robot.name for robot in robots}
+    for robot, own in data.items():
+        within = "own_times.%s" % robot
+        if known is not None and robot not in known:
+            raise PlanError(
+                "the plan has no robot '%s'" % robot,
+                file=file,
+                element=within,
+                hint="there are: %s" % ", ".join(sorted(known)[:12]),
+            )
+        found[robot] = OwnTimes(**_times(own, within + "."), evidence=_evidence(own, _TIMES))
+    return found
+
+
+def _duration(element: str, data: Dict[str, Any]) -> Duration:
     from gspn_framework_package.model.families import duration_from_json  # not all plans need it
 
     try:
         return duration_from_json(data)
     except PlanError as error:
-        error.element = "durations.%s" % place
+        error.element = element
         raise
 
 
-def _evidence(data: Dict[str, Any]) -> Dict[Tuple[str, str], Evidence]:
+def _evidence(data: Dict[str, Any], keys: Sequence[str]) -> Dict[Tuple[str, str], Evidence]:
     found = {}
-    for key in LEARNED:
+    for key in keys:
         for name, entry in data.get(key, {}).items():
             of = entry.get("of")
             if of is not None:
@@ -330,16 +362,30 @@ def plan_to_json(plan: Plan) -> Dict[str, Any]:
         data["cancel_grace"] = plan.cancel_grace
     if plan.chance:
         data["chance"] = sorted(plan.chance)
-    values: Dict[str, Dict[str, Dict[str, Any]]] = {
-        "durations": {p: d.to_json() for p, d in plan.durations.items()},
-        "outcomes": {p: {"probabilities": dict(o)} for p, o in plan.outcomes.items()},
-        "failures": {p: {"probability": f} for p, f in plan.failures.items()},
-        "rates": {t: {"rate": r} for t, r in plan.rates.items()},
+    data.update(_values_to_json(plan, plan.rates))
+    own = {
+        robot.name: _values_to_json(plan.own_times[robot.name], {})
+        for robot in plan.robots
+        if robot.name in plan.own_times
     }
-    for (key, name), evidence in plan.evidence.items():
-        values[key][name]["of"] = evidence_to_json(evidence)
-    data.update({key: entries for key, entries in values.items() if entries})
+    if own:
+        data["own_times"] = own
     return data
+
+
+def _values_to_json(
+    of: Union[Plan, OwnTimes], rates: Mapping[str, float]
+) -> Dict[str, Dict[str, Dict[str, Any]]]:
+    """The values that may be learned, of a plan or of one robot of it."""
+    values: Dict[str, Dict[str, Dict[str, Any]]] = {
+        "durations": {p: d.to_json() for p, d in of.durations.items()},
+        "outcomes": {p: {"probabilities": dict(o)} for p, o in of.outcomes.items()},
+        "failures": {p: {"probability": f} for p, f in of.failures.items()},
+        "rates": {t: {"rate": r} for t, r in rates.items()},
+    }
+    for (key, name), evidence in of.evidence.items():
+        values[key][name]["of"] = evidence_to_json(evidence)
+    return {key: entries for key, entries in values.items() if entries}
 
 
 def evidence_to_json(evidence: Evidence) -> Dict[str, Any]:

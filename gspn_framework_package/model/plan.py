@@ -16,6 +16,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import (
     Any,
+    Callable,
+    Container,
     Dict,
     FrozenSet,
     Iterable,
@@ -99,6 +101,39 @@ class RobotSpec(NamedTuple):
     capabilities: Tuple[str, ...] = ()
 
 
+class OwnTimes(NamedTuple):
+    """What a robot does in its own time and with its own outcomes, in place of the team's:
+    ``durations``, ``outcomes`` and ``failures``, each by place as in the plan, and the ``evidence``
+    of those that were learned, by key of the plan file and place."""
+
+    durations: Mapping[str, Duration] = {}
+    outcomes: Mapping[str, Mapping[str, float]] = {}
+    failures: Mapping[str, float] = {}
+    evidence: Mapping[Tuple[str, str], Evidence] = {}
+
+    def scaled(self, factors: Mapping[str, float]) -> OwnTimes:
+        """Those with longer or shorter durations: place -> factor (> 0)."""
+        known = self.durations.items()
+        return self._replace(
+            durations={p: d.scaled(factors[p]) if p in factors else d for p, d in known}
+        )
+
+    def nominal(self) -> OwnTimes:
+        """Those that were not learned."""
+        return self._kept(lambda key, place: (key, place) not in self.evidence)
+
+    def without(self, places: Container[str]) -> OwnTimes:
+        """Those of other places."""
+        return self._kept(lambda _, place: place not in places)
+
+    def _kept(self, keep: Callable[[str, str], bool]) -> OwnTimes:
+        def kept(key: str) -> Dict[str, Any]:
+            return {place: v for place, v in getattr(self, key).items() if keep(key, place)}
+
+        evidence = {name: of for name, of in self.evidence.items() if keep(*name)}
+        return OwnTimes(kept("durations"), kept("outcomes"), kept("failures"), evidence)
+
+
 class Timing(NamedTuple):
     """Times of the agreement protocol, in seconds. A robot that no other has heard for
     ``evict_after`` is proposed for eviction (0 for never). A robot without contact to a quorum for
@@ -137,6 +172,7 @@ class Plan:
     :ivar durations: place -> how long its action takes, for analysis and simulation.
     :ivar outcomes: place -> {transition that its action names, or "" for none: probability}.
     :ivar failures: place -> probability that an attempt of its action fails.
+    :ivar own_times: robot -> its own durations, outcomes and failures.
     :ivar chance: decision places where the policy does not choose: the action determines what comes
         next, or the weights do. Used for computing policies.
     :ivar rates: transition -> rate (1/s) that replaces the one in the net's file; ``net`` has it.
@@ -177,6 +213,7 @@ class Plan:
     durations: Mapping[str, Duration] = field(default_factory=dict)
     outcomes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     failures: Mapping[str, float] = field(default_factory=dict)
+    own_times: Mapping[str, OwnTimes] = field(default_factory=dict)
     chance: FrozenSet[str] = frozenset()
     rates: Mapping[str, float] = field(default_factory=dict)
     own_rates: Mapping[str, Value] = field(default_factory=dict)
@@ -477,17 +514,15 @@ class Plan:
         """Return the plan with the rates of its net's file, and without the durations, outcomes and
         failures that were learned from runs (those with ``evidence``). Its hash differs if a rate
         does: it is for analysis, not for a run."""
-
-        def given(key: str) -> Dict[str, Any]:
-            values: Mapping[str, Any] = getattr(self, key)
-            return {name: v for name, v in values.items() if (key, name) not in self.evidence}
-
+        given = OwnTimes(self.durations, self.outcomes, self.failures, self.evidence).nominal()
+        own = {robot: times.nominal() for robot, times in self.own_times.items()}
         return replace(
             self,
             net=self.file_net,
-            durations=given("durations"),
-            outcomes=given("outcomes"),
-            failures=given("failures"),
+            durations=given.durations,
+            outcomes=given.outcomes,
+            failures=given.failures,
+            own_times={robot: times for robot, times in own.items() if any(times)},
             rates={},
             own_rates={},
             evidence={},
@@ -514,9 +549,6 @@ class Plan:
             ("timeout", self.timeouts),
             ("on_evict", self.on_evict),
             ("spawn", self.spawn),
-            ("durations", self.durations),
-            ("outcomes", self.outcomes),
-            ("failures", self.failures),
         ):
             for place in places:
                 if place != "*" or what not in ("on_failure", "timeout"):
@@ -647,32 +679,31 @@ class Plan:
         return any(self._holds_robots(p) for p, _ in arcs)
 
     def _validate_times(self) -> None:
-        for key in ("durations", "outcomes", "failures"):
-            for place in getattr(self, key):
-                if place in self.resource_places:
-                    raise self._error(
-                        "%s.%s" % (key, place), "a resource place has no action", "remove the entry"
-                    )
-        for place, chances in self.outcomes.items():
-            leaving = self._leaving(place)
-            for transition, chance in chances.items():
-                if transition and transition not in leaving:
-                    raise self._error(
-                        "outcomes.%s" % place,
-                        "'%s' does not leave that place" % transition,
-                        "choose from: %s" % ", ".join(leaving),
-                    )
-                if not 0 <= chance <= 1:
-                    raise self._error("outcomes.%s" % place, "%g is not a probability" % chance)
-            total = math.fsum(chances.values())
-            if abs(total - 1.0) > SUM_TOLERANCE:
+        self._validate_values("", OwnTimes(self.durations, self.outcomes, self.failures))
+        for robot, own in self.own_times.items():
+            within = "own_times.%s." % robot
+            self._validate_values(within, own)
+            # what the check says of the team must hold for each of its robots
+            new = [
+                ("durations", p)
+                for p, duration in own.durations.items()
+                if p not in self.durations or (self.durations[p].mean == 0) != (duration.mean == 0)
+            ]
+            new += [
+                ("outcomes", p)
+                for p, chances in own.outcomes.items()
+                if any(v > 0 and not self.outcomes.get(p, {}).get(t) for t, v in chances.items())
+            ]
+            new += [
+                ("failures", p)
+                for p, chance in own.failures.items()
+                if chance > 0 and not self.failures.get(p)
+            ]
+            for key, place in new:
                 raise self._error(
-                    "outcomes.%s" % place, "the probabilities sum to %g, not to 1" % total
-                )
-        for place, chance in self.failures.items():
-            if not 0 <= chance < 1:
-                raise self._error(
-                    "failures.%s" % place, "%g is not a possible probability" % chance, "0 <= p < 1"
+                    "%s%s.%s" % (within, key, place),
+                    "a robot cannot have a duration, an outcome or failures that the team has not",
+                    "give %s.%s, too" % (key, place),
                 )
         for place in self.chance:
             self._known_place(place, "chance")
@@ -684,6 +715,44 @@ class Plan:
             self._known_transition(name, "rates")
             if not self.net.transition(name).timed:
                 raise self._error("rates.%s" % name, "an immediate transition has no rate")
+
+    def _validate_values(self, within: str, values: OwnTimes) -> None:
+        """Check values that may be learned. :param within: what is before their keys."""
+        for key in ("durations", "outcomes", "failures"):
+            for place in getattr(values, key):
+                self._known_place(place, within + key)
+                if place in self.resource_places:
+                    raise self._error(
+                        "%s%s.%s" % (within, key, place),
+                        "a resource place has no action",
+                        "remove the entry",
+                    )
+        for place, chances in values.outcomes.items():
+            leaving = self._leaving(place)
+            for transition, chance in chances.items():
+                if transition and transition not in leaving:
+                    raise self._error(
+                        "%soutcomes.%s" % (within, place),
+                        "'%s' does not leave that place" % transition,
+                        "choose from: %s" % ", ".join(leaving),
+                    )
+                if not 0 <= chance <= 1:
+                    raise self._error(
+                        "%soutcomes.%s" % (within, place), "%g is not a probability" % chance
+                    )
+            total = math.fsum(chances.values())
+            if abs(total - 1.0) > SUM_TOLERANCE:
+                raise self._error(
+                    "%soutcomes.%s" % (within, place),
+                    "the probabilities sum to %g, not to 1" % total,
+                )
+        for place, chance in values.failures.items():
+            if not 0 <= chance < 1:
+                raise self._error(
+                    "%sfailures.%s" % (within, place),
+                    "%g is not a possible probability" % chance,
+                    "0 <= p < 1",
+                )
 
     def _error(self, element: str, message: str, hint: Optional[str] = None) -> PlanError:
         return PlanError(message, file=self.file, element=element, hint=hint)

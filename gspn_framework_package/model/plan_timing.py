@@ -30,7 +30,7 @@ from gspn_framework_package.model.condition import Condition, parse_condition
 from gspn_framework_package.model.duration import Duration, Kind
 from gspn_framework_package.model.failure import FailureRule
 from gspn_framework_package.model.net import Net
-from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.plan import OwnTimes, Plan
 
 POLICY = -1
 """In place of a transition: the action named none, and the policy decides."""
@@ -96,12 +96,38 @@ class PlanTiming:
             )
             for p, timing in self.places.items()
         }
+        self._own: Dict[Tuple[str, int], PlaceTiming] = {}
+        for robot, own in plan.own_times.items():
+            for place in (*own.durations, *own.outcomes, *own.failures):
+                p = self._net.place_index[place]
+                team = self.places[p]
+                self._own[robot, p] = team._replace(
+                    duration=own.durations.get(place, team.duration),
+                    outcomes=self._named(own.outcomes[place])
+                    if place in own.outcomes
+                    else team.outcomes,
+                    failure=own.failures.get(place, team.failure),
+                )
         self._assume()
 
     def of(self, robot: str, place: int) -> PlaceTiming:
         """The timing of ``robot`` in action place number ``place``, with the robot's own action if
-        it has one."""
-        return self._idle[place] if self.is_idle(place, robot) else self.places[place]
+        it has one, and in its own time."""
+        if self.is_idle(place, robot):
+            return self._idle[place]
+        return self._own.get((robot, place), self.places[place])
+
+    @property
+    def differing(self) -> str:
+        """Why states that do not distinguish robots give no times; empty if robots are alike."""
+        team = {robot.name for robot in self._plan.robots}
+        for robot, p in self._own:
+            if robot in team:
+                return (
+                    "robots differ: %s has its own times or outcomes in %s (own_times), and states "
+                    "do not distinguish robots" % (robot, self._net.places[p].name)
+                )
+        return ""
 
     @property
     def splits(self) -> Dict[str, str]:
@@ -159,11 +185,7 @@ class PlanTiming:
             duration = Duration.exponential(1 / total)
         outcomes = plan.outcomes.get(name)
         if outcomes is not None:
-            pairs = tuple(
-                (net.transition_index[t] if t else POLICY, chance)
-                for t, chance in outcomes.items()
-                if chance > 0
-            )
+            pairs = self._named(outcomes)
         elif decides or (not leaving and self.events[p]):
             pairs = ((POLICY, 1.0),)
         else:
@@ -176,6 +198,10 @@ class PlanTiming:
             math.inf if limit is None else limit,
             self._blocked(p),
         )
+
+    def _named(self, outcomes: Mapping[str, float]) -> Tuple[Tuple[int, float], ...]:
+        number = self._net.transition_index
+        return tuple((number[t] if t else POLICY, v) for t, v in outcomes.items() if v > 0)
 
     def _asked_at_once(self, p: int) -> Tuple[Tuple[int, float], ...]:
         """What a robot requests in a place without an action (``docs/semantics.md``)."""
@@ -299,8 +325,8 @@ class PlanRules:
     :ivar resets: for each transition whether its firing ends the draws of all robots: a firing
         that changes the marking does.
     :ivar until: the condition that ends the run, or None.
-    :ivar kinds: one robot of each kind: robots with equal actions are of one. The first, "", is any
-        robot without its own.
+    :ivar kinds: one robot of each kind: robots with equal actions and times are of one. The first,
+        "", is any robot without its own.
     :ivar kind_of: the kind of each robot of the plan.
     :ivar visits: for each kind, action place -> what it does there; empty in the classical reading.
     """
@@ -411,13 +437,14 @@ def _visits(plan: Plan, timing: PlanTiming, net: Net, robot: str) -> Dict[int, P
 def _kinds(plan: Plan) -> Tuple[List[str], List[int]]:
     """One robot of each kind, and the kind of each robot of the plan."""
     names = [""]
-    kinds: List[Mapping[str, Any]] = [{}]
+    kinds: List[Tuple[Mapping[str, Any], Optional[OwnTimes]]] = [({}, None)]
     of: List[int] = []
     for robot in plan.robots:
-        if robot.actions not in kinds:
-            kinds.append(robot.actions)
+        kind = robot.actions, plan.own_times.get(robot.name)
+        if kind not in kinds:
+            kinds.append(kind)
             names.append(robot.name)
-        of.append(kinds.index(robot.actions))
+        of.append(kinds.index(kind))
     return names, of
 
 

@@ -94,6 +94,9 @@ def compile_plan(
         split for its duration alone; whether an attempt fails still follows from the true one.
     :param left_out: resource places that nothing reads; None: all of them.
     """
+    if timing is not None and plan.own_times:  # states do not distinguish robots
+        plan = replace(plan, own_times={})
+        timing = PlanTiming(plan)
     rules = rules_of(plan, timing, plan.counters if left_out is None else left_out)
     splits = timing.splits if timing is not None else {}
     return _Compiler(replace(rules, net=_net_of(rules)), splits, phases, exponential).run_net()

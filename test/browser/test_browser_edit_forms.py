@@ -81,6 +81,13 @@ PLAN = {
     },
     "outcomes": {"Sort": {"probabilities": {"sorted": 0.5, "plug_in": 0.5}}},
     "failures": {"Fetch": {"probability": 0.02}},
+    "own_times": {
+        "robot_2": {
+            "durations": {"Fetch": {"mean": 3}},
+            "outcomes": {"Sort": {"probabilities": {"sorted": 0.9, "plug_in": 0.1}}},
+            "failures": {"Fetch": {"probability": 0.1}},
+        }
+    },
     "rates": {"fetched": {"rate": 0.6}},
     "chance": ["Sort"],
     "events": {"unplug": {"topic": "door", "type": "std_msgs/Bool", "when": "data", "hold": True}},
@@ -452,6 +459,7 @@ def test_every_key_of_a_plan_has_a_form(editor, axe, picture):
         ("plan.tasks", whole["properties"]["tasks"]),
         ("plan.outcomes.Sort", whole["properties"]["outcomes"]["additionalProperties"]),
         ("plan.failures.Fetch", whole["properties"]["failures"]["additionalProperties"]),
+        ("plan.own_times.robot_2", whole["properties"]["own_times"]["additionalProperties"]),
         ("plan.rates.fetched", whole["properties"]["rates"]["additionalProperties"]),
         ("plan.durations.P_gamma.of", definitions["evidence"]),
         (

@@ -149,6 +149,8 @@ class DecisionProblem:
             losses = False
         self._largest = plan
         timing = PlanTiming(plan)
+        if reading == RUN and timing.differing:
+            raise RefusedError(timing.differing, hint="leave own_times out of the plan")
         self.left_out = _left_out(plan, [*never, *conditions])
         self._run_net = compile_plan(
             plan, timing if reading == RUN else None, exponential=True, left_out=self.left_out

@@ -4,6 +4,7 @@ rates."""
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import replace
 from typing import (
     Any,
@@ -30,6 +31,7 @@ from gspn_framework_package.analysis.fitting.testing import (
     groups_differ,
     outcomes_depend,
     rate_interval,
+    shares_differ,
     test_of_fit,
     wilson,
 )
@@ -37,7 +39,7 @@ from gspn_framework_package.analysis.watch import Progress, Watch
 from gspn_framework_package.model.attempt import Attempt, EventCount
 from gspn_framework_package.model.duration import FAMILIES, Duration, Evidence, Family, Kind
 from gspn_framework_package.model.outcome import Outcome
-from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.plan import OwnTimes, Plan
 
 ENOUGH_FOR_QUANTILES = 200
 """With fewer observations than this, a family that fits badly is not replaced by quantiles."""
@@ -56,6 +58,9 @@ _REFUTED = 0.01
 WITHIN = 0.05
 """What half of a 95 % interval may be before more log is asked for; see :func:`.needs.find_needs`.
 """
+
+_DIFFER = "the robots' %s"
+"""The kind of test whether robots differ, with the key of the plan file."""
 
 _SIGNIFICANT = 0.05
 """The joint level of all tests of one kind whose results become notes."""
@@ -136,6 +141,8 @@ class FitReport(NamedTuple):
     :ivar unseen: places with an action, but without an attempt.
     :ivar rare: transition of the environment or of an event that fired too seldom -> how often.
     :ivar robot_seconds: how long robots were recorded, all together (s).
+    :ivar own: robot -> key of the plan file -> place -> the results for that robot alone, where
+        robots differ.
     """
 
     places: Mapping[str, PlaceFit]
@@ -144,6 +151,7 @@ class FitReport(NamedTuple):
     unseen: Tuple[str, ...] = ()
     rare: Mapping[str, int] = {}
     robot_seconds: float = 0.0
+    own: Mapping[str, Mapping[str, Mapping[str, PlaceFit]]] = {}
 
     def needs(self, within: float = WITHIN) -> List[Need]:
         """What was not learned, or not exactly enough, and how much more log that needs.
@@ -162,43 +170,68 @@ class FitReport(NamedTuple):
                 t: {"n": e.seen, "rate": e.rate, "interval": list(e.interval)}
                 for t, e in self.rates.items()
             }
+        for robot, keys in self.own.items():
+            own = data.setdefault("own", {})[robot] = {}
+            for key, places in keys.items():
+                own[key] = {place: fit.to_json() for place, fit in places.items()}
         data["needs"] = [need.to_json() for need in self.needs(within)]
         data["notes"] = list(self.notes)
         return data
 
-    def apply(self, plan: Plan, logs: Sequence[str]) -> Plan:
+    def apply(self, plan: Plan, logs: Sequence[str], per_robot: bool = False) -> Plan:
         """The plan with the learned values. Values with too little data are kept.
 
         :param logs: the names of the logs, for the evidence.
+        :param per_robot: whether robots that differ get their own values.
         """
         names = tuple(logs)
-        durations, outcomes = dict(plan.durations), dict(plan.outcomes)
-        failures = dict(plan.failures)
+        team = OwnTimes(plan.durations, plan.outcomes, plan.failures, plan.evidence)
+        team = _learned(team, dict.fromkeys(_KEYS, self.places), names)
+        known = {place for place, found in self.places.items() if found.fit is not None}
+        own = {robot: times.without(known) for robot, times in plan.own_times.items()}
+        for robot, its in self.own.items() if per_robot else ():
+            own[robot] = _learned(own.get(robot, OwnTimes()), its, names)
         rates: Dict[str, float] = {}
-        evidence = dict(plan.evidence)
-        for place, found in self.places.items():
-            if found.fit is not None:
-                durations[place] = found.fit.duration
-                evidence["durations", place] = Evidence(found.n, names, found.fit.interval)
-            if found.outcomes:
-                outcomes[place] = {t: o.probability for t, o in found.outcomes.items()}
-                total = max(o.total for o in found.outcomes.values())
-                evidence["outcomes", place] = Evidence(total, names)
-            if found.failure is not None:
-                failures[place] = found.failure.probability
-                evidence["failures", place] = Evidence(
-                    found.failure.total, names, found.failure.interval
-                )
+        evidence = dict(team.evidence)
         for name, event in self.rates.items():
             rates[name] = event.rate
             evidence["rates", name] = Evidence(event.seen, names, event.interval)
         return replace(
             plan.with_rates(rates),
-            durations=durations,
-            outcomes=outcomes,
-            failures=failures,
+            durations=team.durations,
+            outcomes=team.outcomes,
+            failures=team.failures,
+            own_times={robot: times for robot, times in own.items() if any(times)},
             evidence=evidence,
         ).validate()
+
+
+_KEYS = ("durations", "outcomes", "failures")
+
+
+def _learned(
+    old: OwnTimes, found: Mapping[str, Mapping[str, PlaceFit]], logs: Tuple[str, ...]
+) -> OwnTimes:
+    """Values, of the team or of one robot, with the learned ones in the place of old ones.
+
+    :param found: key of the plan file -> place -> what was learned there.
+    """
+    durations, outcomes = dict(old.durations), dict(old.outcomes)
+    failures, evidence = dict(old.failures), dict(old.evidence)
+    for place, its in found.get("durations", {}).items():
+        if its.fit is not None:
+            durations[place] = its.fit.duration
+            evidence["durations", place] = Evidence(its.n, logs, its.fit.interval)
+    for place, its in found.get("outcomes", {}).items():
+        if its.outcomes:
+            outcomes[place] = {t: o.probability for t, o in its.outcomes.items()}
+            total = max(o.total for o in its.outcomes.values())
+            evidence["outcomes", place] = Evidence(total, logs)
+    for place, its in found.get("failures", {}).items():
+        if its.failure is not None:
+            failures[place] = its.failure.probability
+            evidence["failures", place] = Evidence(its.failure.total, logs, its.failure.interval)
+    return OwnTimes(durations, outcomes, failures, evidence)
 
 
 def fit_plan(
@@ -230,7 +263,13 @@ def fit_plan(
     return learning.learn(attempts, events or {}, executor, Watch(progress, interval=0.0))
 
 
-_OfPlace = Tuple[PlaceFit, List[str], Dict[str, List[Tuple[float, str]]]]
+class _OfPlace(NamedTuple):
+    """The results for a place, and for each robot alone."""
+
+    found: PlaceFit
+    notes: List[str]
+    doubts: Dict[str, List[Tuple[float, str]]]
+    robots: Dict[str, PlaceFit]
 
 
 def _learn_place(shared: Any, piece: Any, _: Watch) -> _OfPlace:
@@ -268,11 +307,11 @@ class _Learning:
         workload = Workload(tuple, _learn_place, shared)
         items = [WorkItem(workload, (place, by_place[place])) for place in seen]
         places = {}
-        learned = executor.ordered(items, "places fitted", watch)
-        for place, (found, notes, doubts) in zip(seen, learned):
-            places[place] = found
-            self.notes += notes
-            for kind, told in doubts.items():
+        learned = dict(zip(seen, executor.ordered(items, "places fitted", watch)))
+        for place, of_place in learned.items():
+            places[place] = of_place.found
+            self.notes += of_place.notes
+            for kind, told in of_place.doubts.items():
                 self._doubts.setdefault(kind, []).extend(told)
         unseen = [
             place
@@ -283,9 +322,23 @@ class _Learning:
             self.notes.append("no attempt was seen in %s" % ", ".join(unseen))
         rates = self._rates(events)
         self._report_doubts()
+        own = self._own(learned)
         rare = {name: event.firings for name, event in events.items() if name not in rates}
         recorded = sum(end - begin for begin, end in spans.values())
-        return FitReport(places, rates, tuple(self.notes), tuple(unseen), rare, recorded)
+        return FitReport(places, rates, tuple(self.notes), tuple(unseen), rare, recorded, own)
+
+    def _own(self, learned: Mapping[str, _OfPlace]) -> Dict[str, Dict[str, Dict[str, PlaceFit]]]:
+        """What robots have for themselves, as in :class:`FitReport`."""
+        own: Dict[str, Dict[str, Dict[str, PlaceFit]]] = {}
+        team = {robot.name for robot in self.plan.robots}
+        for key in _KEYS:
+            tests = len(self._doubts.get(_DIFFER % key, ()))
+            for place, of_place in learned.items():
+                ps = [p for p, _ in of_place.doubts.get(_DIFFER % key, ())]
+                for robot, its in of_place.robots.items() if ps and _is_clear(ps[0], tests) else ():
+                    if robot in team:
+                        own.setdefault(robot, {}).setdefault(key, {})[place] = its
+        return own
 
     # -- a place -----------------------------------------------------------------------------------
 
@@ -294,7 +347,14 @@ class _Learning:
         # each place has its own random numbers, independent of other places
         source = np.random.SeedSequence([self.seed % 2**64, len(place), *place.encode()])
         generator = np.random.Generator(np.random.PCG64(source))
-        return self._place(place, attempts, generator), self.notes, self._doubts
+        found = self._place(place, attempts, generator)
+        robots: Dict[str, PlaceFit] = {}
+        differ = [p for key in _KEYS for p, _ in self._doubts.get(_DIFFER % key, ())]
+        if any(_is_clear(p, 1) for p in differ):
+            for robot in sorted({a.robot for a in attempts}):
+                alone = _Learning(self.plan, self.choice, self.seed, 0)
+                robots[robot] = alone._place(place, _of(attempts, robot), generator)
+        return _OfPlace(found, self.notes, self._doubts, robots)
 
     def _place(self, place: str, attempts: List[Attempt], generator: Any) -> PlaceFit:
         done = [a for a in attempts if a.completed and not a.failed]
@@ -310,6 +370,13 @@ class _Learning:
         if failed and done:
             self._compare_failed(place, done, failed)
         outcomes = self._outcomes(place, done)
+        if outcomes:
+            self._compare_shares("outcomes", place, [(a.robot, a.result) for a in done])
+        self._compare_shares(
+            "failures",
+            place,
+            [(a.robot, "a success") for a in done] + [(a.robot, "a failure") for a in failed],
+        )
         failure = self._failure(place, len(failed), len(failed) + len(done))
         return PlaceFit(sample.size, len(cut), fit, test, outcomes, failure, sample)
 
@@ -361,14 +428,17 @@ class _Learning:
             return
         robots = sorted({a.robot for a in done})
         samples = {r: _sample(_of(done, r), _of(cut, r)) for r in robots}
-        samples = {r: s for r, s in samples.items() if _can_compare(s)}
+        samples = {r: s for r, s in samples.items() if s.size >= ENOUGH_ATTEMPTS}
         if len(samples) > 1:
-            p = groups_differ(list(samples.values()), duration)
+            if all(map(_can_compare, samples.values())):
+                p = groups_differ(list(samples.values()), duration)
+            else:  # a robot always takes the same time
+                p = outcomes_depend([sample.observed for sample in samples.values()])
             means = {r: s.total / s.size for r, s in samples.items()}
             slow, fast = max(means, key=means.__getitem__), min(means, key=means.__getitem__)
             both = slow, means[slow], fast, means[fast]
             text = "%s: the robots differ: %s takes %.3g s on average, %s %.3g s"
-            self._doubt("robots", p, text % (place, *both))
+            self._doubt(_DIFFER % "durations", p, text % (place, *both))
         middle = _middles([*done, *cut])
         halves = [
             _sample(
@@ -386,6 +456,18 @@ class _Learning:
                 "%s: it changed during the run: %.3g s on average in the first half, "
                 "%.3g s in the second" % (place, first, second),
             )
+
+    def _compare_shares(self, key: str, place: str, ends: Sequence[Tuple[str, str]]) -> None:
+        """Test whether the ends of attempts, pairs of a robot and an end, depend on the robot."""
+        counts: Dict[str, Counter[str]] = {}
+        for robot, end in ends:
+            counts.setdefault(robot, Counter())[end] += 1
+        counts = {r: c for r, c in counts.items() if sum(c.values()) >= ENOUGH_ATTEMPTS}
+        names = sorted(set().union(*counts.values()))
+        if len(counts) > 1 and len(names) > 1:
+            p = shares_differ([[c[name] for name in names] for c in counts.values()])
+            text = "%s: the robots differ in their %s (--per-robot learns those of each)"
+            self._doubt(_DIFFER % key, p, text % (place, key))
 
     def _compare_failed(
         self, place: str, done: Sequence[Attempt], failed: Sequence[Attempt]
@@ -481,9 +563,14 @@ class _Learning:
         for doubts in self._doubts.values():
             tests = len(doubts)
             for p, text in doubts:
-                if p * tests < _SIGNIFICANT:
+                if _is_clear(p, tests):
                     allowed = " (p = %.2g; %d such tests are allowed for)" % (p, tests)
                     self.notes.append(text + allowed)
+
+
+def _is_clear(p: float, tests: int) -> bool:
+    """Whether one of so many tests of a kind is significant."""
+    return p * tests < _SIGNIFICANT
 
 
 def _sample(done: Iterable[Attempt], cut: Iterable[Attempt] = ()) -> Sample:

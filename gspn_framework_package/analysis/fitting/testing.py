@@ -152,6 +152,21 @@ def outcomes_depend(durations: Sequence[Sequence[float]]) -> float:
     return float(stats.kruskal(*durations).pvalue)
 
 
+def shares_differ(counts: Sequence[Sequence[int]]) -> float:
+    """The p-value of the likelihood ratio test that all groups have the same shares; 1 if there is
+    too little data for the test (Cochran 1954: 5 are to be expected everywhere).
+
+    :param counts: of each group, how often each end was seen; each group and each end was seen.
+    """
+    table = np.asarray(counts, dtype=np.float64)
+    expected = np.outer(table.sum(axis=1), table.sum(axis=0)) / table.sum()
+    if expected.min() < 5:
+        return 1.0
+    ratio = np.log(np.where(table > 0, table, 1.0) / np.where(table > 0, expected, 1.0))
+    freedom = (table.shape[0] - 1) * (table.shape[1] - 1)
+    return quantiles.chi_squared_above(2 * float((table * ratio).sum()), freedom)
+
+
 def wilson(count: int, total: int, confidence: float = CONFIDENCE) -> Tuple[float, float]:
     """The interval of Wilson (1927) for a probability of which ``count`` of ``total`` trials were a
     success."""

@@ -38,6 +38,7 @@ from gspn_framework_package.analysis.monitoring.streams import (
     SidedSum,
     Stream,
 )
+from gspn_framework_package.model.duration import Duration, Evidence
 from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import POLICY, PlanTiming
@@ -140,7 +141,13 @@ class Monitor:
             if place.duration.mean >= SHORTEST_EXPECTED and plan.net.consumers[p]:
                 name = plan.net.places[p].name
                 self._means[name] = place.duration.mean
-                self._hazards[name] = self._of_interval(name, place.duration)
+                self._hazards[name] = _of_interval(plan.evidence, name, place.duration)
+        self._own = {
+            (robot, name): (duration.mean, _of_interval(own.evidence, name, duration))
+            for robot, own in plan.own_times.items()
+            for name, duration in own.durations.items()
+            if name in self._hazards
+        }
         names = list(dict.fromkeys(robots))
         least = 1.0 / alarm_every
         pace = {name: max(paces.get(name, 0.0), least) for name in self._hazards}
@@ -196,19 +203,9 @@ class Monitor:
             *self._choice_streams.values(),
         ]
 
-    def _of_interval(self, name: str, duration: Any) -> Tuple[Hazard, Hazard]:
-        """The hazards at the upper and at the lower end of the mean's interval, so that a run
-        whose mean is anywhere in it raises no more false alarms than stated."""
-        evidence = self._plan.evidence.get(("durations", name))
-        interval = evidence.interval if evidence is not None else None
-        if interval is None or not 0 < interval[0] <= duration.mean <= interval[1] < math.inf:
-            plain = Hazard(duration)
-            return plain, plain
-        low, high = interval
-        return (
-            Hazard(duration.scaled(high / duration.mean)),
-            Hazard(duration.scaled(low / duration.mean)),
-        )
+    def _mean(self, robot: str, place: str) -> float:
+        own = self._own.get((robot, place))
+        return own[0] if own is not None else self._means[place]
 
     @property
     def on(self) -> List[Alarm]:
@@ -298,7 +295,9 @@ class Monitor:
         if attempt is None or not completed or (failed and failed not in RAN_TO_THE_END):
             return raised
         place = attempt.place
-        self._recent.append(_Finished(now, place, robot, now - attempt.start, self._means[place]))
+        self._recent.append(
+            _Finished(now, place, robot, now - attempt.start, self._mean(robot, place))
+        )
         for stream in self._streams_of(attempt):
             for s, direction in stream.count(now):
                 raised.append(self._alarm(stream, s, direction, now))
@@ -341,7 +340,8 @@ class Monitor:
         by_robot: Dict[str, List[float]] = {}
         slow_sum = fast_sum = 0.0
         for attempt in self._running.values():
-            slow_hazard, fast_hazard = self._hazards[attempt.place]
+            own = self._own.get((attempt.robot, attempt.place))
+            slow_hazard, fast_hazard = own[1] if own is not None else self._hazards[attempt.place]
             slow = slow_hazard(now - attempt.start)
             fast = slow if fast_hazard is slow_hazard else fast_hazard(now - attempt.start)
             more, less = slow - attempt.slow, fast - attempt.fast
@@ -392,12 +392,13 @@ class Monitor:
             for r in self._running.values()
             if stream.place in ("", r.place)
             and stream.robot in ("", r.robot)
-            and now - r.start > self._means[r.place]
+            and now - r.start > self._mean(r.robot, r.place)
         ]
         if direction == "slower" and late:
             # an action running for longer than planned counts too, with its time so far
             seen = seen + [
-                _Finished(now, r.place, r.robot, now - r.start, self._means[r.place]) for r in late
+                _Finished(now, r.place, r.robot, now - r.start, self._mean(r.robot, r.place))
+                for r in late
             ]
         if not place:
             place = _outstanding(seen, direction, lambda f: f.place)
@@ -460,3 +461,20 @@ def _decides(plan: Plan, place: str) -> bool:
     """Whether the policy has a real choice in a place."""
     p = plan.net.place_number(place)
     return len(plan.net.immediate_from[p]) > 1
+
+
+def _of_interval(
+    learned: Mapping[Tuple[str, str], Evidence], name: str, duration: Duration
+) -> Tuple[Hazard, Hazard]:
+    """The hazards at the upper and at the lower end of the mean's interval, so that a run
+    whose mean is anywhere in it raises no more false alarms than stated."""
+    evidence = learned.get(("durations", name))
+    interval = evidence.interval if evidence is not None else None
+    if interval is None or not 0 < interval[0] <= duration.mean <= interval[1] < math.inf:
+        plain = Hazard(duration)
+        return plain, plain
+    low, high = interval
+    return (
+        Hazard(duration.scaled(high / duration.mean)),
+        Hazard(duration.scaled(low / duration.mean)),
+    )

@@ -22,7 +22,7 @@ from gspn_framework_package.analysis.executors import Executor, LocalExecutor, W
 from gspn_framework_package.analysis.simulation import machine, simulate
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.errors import UsageError
-from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.plan import OwnTimes, Plan
 
 PREDICTION_REPLICATIONS = 1000
 """Default number of replications."""
@@ -195,28 +195,36 @@ def expected_paces(plan: Plan, sample: RunSample) -> Dict[str, float]:
 
 class Parameters(NamedTuple):
     """Values of the uncertain parameters of a plan: factors of the durations and of the rates,
-    outcomes and failures."""
+    outcomes and failures; ``own`` has those of robots that do not get the team's factors."""
 
     durations: Mapping[str, float]
     outcomes: Mapping[str, Mapping[str, float]]
     failures: Mapping[str, float]
     rates: Mapping[str, float]
+    own: Mapping[str, Parameters] = {}
 
     def apply(self, plan: Plan) -> Plan:
         """The plan with these values."""
+        plain = self._replace(outcomes={}, failures={})
+        team = self._applied(OwnTimes(plan.durations, plan.outcomes, plan.failures))
         return replace(
             plan,
             net=plan.net.with_rates(
                 {name: plan.net.transition(name).number * f for name, f in self.rates.items()}
             ),
-            durations={
-                place: duration.scaled(self.durations[place])
-                if place in self.durations
-                else duration
-                for place, duration in plan.durations.items()
+            durations=team.durations,
+            outcomes=team.outcomes,
+            failures=team.failures,
+            own_times={
+                robot: self.own.get(robot, plain)._applied(times)
+                for robot, times in plan.own_times.items()
             },
-            outcomes={**plan.outcomes, **self.outcomes},
-            failures={**plan.failures, **self.failures},
+        )
+
+    def _applied(self, times: OwnTimes) -> OwnTimes:
+        return times.scaled(self.durations)._replace(
+            outcomes={**times.outcomes, **self.outcomes},
+            failures={**times.failures, **self.failures},
         )
 
 
@@ -227,27 +235,36 @@ def is_uncertain(plan: Plan) -> bool:
 
 def draw_parameters(plan: Plan, generator: np.random.Generator) -> Parameters:
     """Draw values of the parameters of a plan that were learned from logs; see the module."""
+    team = OwnTimes(plan.durations, plan.outcomes, plan.failures, plan.evidence)
+    drawn = _drawn(team, plan.rates, generator)
+    own = plan.own_times.items()
+    return drawn._replace(own={robot: _drawn(times, {}, generator) for robot, times in own})
+
+
+def _drawn(
+    times: OwnTimes, known_rates: Mapping[str, float], generator: np.random.Generator
+) -> Parameters:
     durations: Dict[str, float] = {}
     rates: Dict[str, float] = {}
     failures: Dict[str, float] = {}
     outcomes: Dict[str, Dict[str, float]] = {}
-    for (key, name), evidence in sorted(plan.evidence.items()):
+    for (key, name), evidence in sorted(times.evidence.items()):
         n = evidence.observations
         if n <= 0:
             continue
-        if key == "durations" and name in plan.durations:
-            duration = plan.durations[name]
+        if key == "durations" and name in times.durations:
+            duration = times.durations[name]
             if duration.mean > 0:
                 error = duration.variation / math.sqrt(n)
                 durations[name] = _factor(duration.mean, evidence.interval, error, generator)
-        elif key == "rates" and name in plan.rates:
+        elif key == "rates" and name in known_rates:
             error = 1 / math.sqrt(n)
-            rates[name] = _factor(plan.rates[name], evidence.interval, error, generator)
-        elif key == "failures" and name in plan.failures:
-            p = plan.failures[name]
+            rates[name] = _factor(known_rates[name], evidence.interval, error, generator)
+        elif key == "failures" and name in times.failures:
+            p = times.failures[name]
             failures[name] = min(float(generator.beta(n * p + 0.5, n * (1 - p) + 0.5)), 1 - 1e-9)
-        elif key == "outcomes" and name in plan.outcomes:
-            given = plan.outcomes[name]
+        elif key == "outcomes" and name in times.outcomes:
+            given = times.outcomes[name]
             counts = [n * p + 0.5 for p in given.values()]
             drawn = generator.dirichlet(counts) if len(counts) > 1 else np.ones(1)
             outcomes[name] = dict(zip(given, (drawn / drawn.sum()).tolist()))

@@ -28,6 +28,8 @@ def run_net_of(plan: Plan, reading: str = RUN) -> Tuple[LiteralNet, List[str]]:
     :raises RefusedError: an ordinary net would not be exact, or too large.
     """
     timing = None if checked_reading(reading) == NET else PlanTiming(plan)
+    if timing is not None and timing.differing:
+        raise RefusedError(timing.differing, element="the run net of '%s'" % plan.name)
     run_net = compile_plan(plan, timing, phases=False)
     if timing is None:
         notes = net_notes(plan).assumptions

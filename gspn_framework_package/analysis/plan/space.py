@@ -183,6 +183,9 @@ def explore_plan(
         return work.explore(Steps(run_net), net_notes(plan))
     notes = run_notes(plan, timing, dict(run_net.splits), list(run_net.assumptions))
     space = work.explore(Steps(run_net), notes)
+    if timing.differing:
+        space.refusal = "not decided: " + timing.differing
+        return space
     phases = PhasesOfDurations(run_net)
     if not space.complete:
         space.where_most = phases.where_most(space.most)

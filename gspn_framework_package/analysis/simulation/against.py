@@ -227,7 +227,8 @@ class _Comparison:
         self._gave_up = ""
         old, new = contest.old, contest.new
         if dataclasses.replace(new, policy=old.policy).hash() != old.hash() or any(
-            getattr(old, key) != getattr(new, key) for key in ("durations", "outcomes", "failures")
+            getattr(old, key) != getattr(new, key)
+            for key in ("durations", "outcomes", "failures", "own_times")
         ):
             self.notes.append("the plans differ in more than their policies")
         self.notes += list(dict.fromkeys(s for run in self.runs for s in run.assumptions))

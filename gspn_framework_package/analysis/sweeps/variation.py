@@ -171,7 +171,12 @@ def _duration(subject: Union[Net, Plan], place: str, mean: Any, timing: str) -> 
             "the plan has no effective duration there",
             hint="there are: %s" % (", ".join(plan.durations) or "none; vary a rate"),
         )
-    return replace(plan, durations={**plan.durations, place: old.scaled(mean / old.mean)})
+    factor = mean / old.mean
+    return replace(
+        plan,
+        durations={**plan.durations, place: old.scaled(factor)},
+        own_times={robot: own.scaled({place: factor}) for robot, own in plan.own_times.items()},
+    )
 
 
 def _failure(subject: Union[Net, Plan], place: str, chance: Any, _: str) -> Plan:
@@ -181,7 +186,11 @@ def _failure(subject: Union[Net, Plan], place: str, chance: Any, _: str) -> Plan
             "there is no action in a place '%s'" % place,
             hint="there are: %s" % ", ".join(plan.action_places[:12]),
         )
-    return replace(plan, failures={**plan.failures, place: chance}).validate()
+    own = {
+        robot: its._replace(failures={p: v for p, v in its.failures.items() if p != place})
+        for robot, its in plan.own_times.items()
+    }
+    return replace(plan, failures={**plan.failures, place: chance}, own_times=own).validate()
 
 
 def _tokens(subject: Union[Net, Plan], place: str, count: Any, _: str) -> Union[Net, Plan]:

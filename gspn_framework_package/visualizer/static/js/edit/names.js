@@ -13,6 +13,8 @@ function names(nodes) {
 export const NAMES = {
   places: ({ net }) => names(net.places),
   placesAndAll: ({ net }) => ["*", ...names(net.places)],
+  robots: ({ plan: { robots = {} } }) =>
+    Array.isArray(robots) ? names(robots) : Object.keys(robots),
   resources: ({ plan }) => [...(plan.resource_places ?? [])].sort(natural),
   actionPlaces({ net, plan }) {
     const resources = new Set(plan.resource_places);

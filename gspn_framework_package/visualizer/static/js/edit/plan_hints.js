@@ -72,6 +72,7 @@ export const HINTS = {
   },
   "plan.failures": { keys: NAMES.actionPlaces, start: () => ({ probability: 0.1 }) },
   "plan.failures.*": { draw: learnedForm() },
+  "plan.own_times": { keys: NAMES.robots, start: () => ({}) },
   "plan.rates": {
     keys: NAMES.timed,
     start: (state, name) => ({
@@ -91,3 +92,6 @@ export const HINTS = {
     draw: () => h("p.muted", "Generated; to edit it, open the subnet."),
   },
 };
+for (const [pattern, hint] of Object.entries(HINTS))
+  if (/^plan\.(durations|outcomes|failures)\b/.test(pattern))
+    HINTS[pattern.replace("plan.", "plan.own_times.*.")] = hint;

@@ -24,7 +24,7 @@ const SECTIONS = [
   ["Routing", ["routing"]],
   [
     "Durations, outcomes, failures, rates",
-    ["durations", "outcomes", "failures", "rates", "chance"],
+    ["durations", "outcomes", "failures", "own_times", "rates", "chance"],
   ],
   ["Agreement", ["agreement"]],
 ];

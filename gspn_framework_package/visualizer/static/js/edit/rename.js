@@ -1,6 +1,8 @@
 // Renames or removes places and transitions everywhere in a plan where their names occur. Pure functions on the state
 // of a PlanDocument, {plan, net, policy}.
 
+import { NAMES } from "./names.js";
+
 const NAME = /^[\p{L}_][\p{L}\p{N}_.:]*$/u; // a name that needs no quotes in a condition; as in model/expression.py
 const TOKEN = /"[^"]*"|'[^']*'|[\p{L}_][\p{L}\p{N}_.:]*/gu;
 const COUNT = /#\s*("[^"]*"|'[^']*'|[\p{L}_][\p{L}\p{N}_.:]*)/gu; // the tokens of a place in a rate or weight
@@ -241,6 +243,17 @@ function changedNames(state, place, transition, said) {
         (name) => said(`the robot '${name}', which starts there`),
       ),
     );
+
+  if (plan.own_times) {
+    const left = plan.robots && new Set(NAMES.robots({ plan: { ...plan, ...values } }));
+    const key = (robot) => (!left || left.has(robot) ? robot : null);
+    const times = (of) =>
+      Object.entries(of).map(([kind, it]) => [kind, mapped(it, place, VALUE[kind])]);
+    put(
+      "own_times",
+      mapped(plan.own_times, key, (of) => with_(of, Object.fromEntries(times(of)))),
+    );
+  }
 
   // the rest of the plan
   if (plan.tasks)
