@@ -633,7 +633,7 @@ def test_a_subnet_and_data_that_is_kept(open_editor, tmp_path, picture):
         "parameters": {"station": "here"},
     }
     (folder / "dock.json").write_text(json.dumps(dock))
-    of_one_place = ("on_failure", "timeout", "outcomes", "chance", "routing")
+    of_one_place = ("on_failure", "timeout", "outcomes", "own_times", "chance", "routing")
     plan = {key: value for key, value in PLAN.items() if key not in of_one_place}
     (folder / "plan.json").write_text(json.dumps(plan))
     page = open_editor(folder)
