@@ -766,7 +766,7 @@ _TABLE: Sequence[Any] = (
         "model",
         "there are none",
         ["capacities"],
-        (net.Net.is_enabled, "marking[p] + change <= capacity", "True"),
+        (net.Net.is_enabled, "marking[p] + change <= most", "True"),
     ),
     (
         "capacities",
@@ -775,8 +775,8 @@ _TABLE: Sequence[Any] = (
         ["capacities"],
         (
             net.Net.is_enabled,
-            "marking[p] + change <= capacity",
-            "marking[p] + change <= capacity + 1",
+            "marking[p] + change <= most",
+            "marking[p] + change <= most + 1",
         ),
     ),
     (
@@ -991,8 +991,8 @@ _TABLE: Sequence[Any] = (
         ["mixed_partners", "degrees"],
         (
             C._possible,
-            "for t, v in self._timing[p].outcomes",
-            "for t, v in self._timing[p].outcomes[:1] for v in (1.0,)",
+            "for t, v in self._timing[p].asks",
+            "for t, v in self._timing[p].asks[:1] for v in (1.0,)",
         ),
     ),
     (
@@ -1139,7 +1139,11 @@ _TABLE: Sequence[Any] = (
         "run",
         "the run goes on",
         ["at_rest"],
-        (T.settle, "self.state.ended is None and active and all(", "False and all("),
+        (
+            T.settle,
+            "0 < len(phases) == phases.count(Phase.INACTIVE)",
+            "0 < len(phases) == -1",
+        ),
     ),
     (
         "all at rest",
