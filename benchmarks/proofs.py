@@ -62,6 +62,9 @@ def questions(plan: Plan) -> Iterator[Tuple[str, MarkingQuestion]]:
         yield "free edge twice" + more, MarkingQuestion(APART, "Free_%s*" % ends[:4], losses)
         yield "moves" + more, MarkingQuestion(CAN_MOVE, "", losses)
         yield "all tasks due again" + more, MarkingQuestion(RETURNS, all_due, losses)
+    first = [p for p in plan.net.places if p.tokens and p.name not in plan.resource_places]
+    home = " and ".join("'%s' = %d" % (place.name, place.tokens) for place in first)
+    yield "all robots home", MarkingQuestion(RETURNS, home)
     yield "two in a node", MarkingQuestion(APART, "At_*")
     yield "never fires", MarkingQuestion(FIRES, plan.net.transitions[-1].name)
 

@@ -37,10 +37,15 @@ class Watch:
         """Whether the work was cancelled."""
         return self._cancel is not None and self._cancel()
 
-    def half(self) -> Watch:
-        """A watch over the next half of the time that is left."""
-        left = self._seconds - (time.monotonic() - self._start)
-        return Watch(self._progress, self._cancel, self._interval, left / 2)
+    @property
+    def left(self) -> float:
+        """The time that is left (s)."""
+        return max(self._seconds - (time.monotonic() - self._start), 0.0)
+
+    def part(self, share: float, most: float = math.inf) -> Watch:
+        """A watch over the next ``share`` of the time that is left, ``most`` seconds of it."""
+        seconds = min(share * self.left, most)
+        return Watch(self._progress, self._cancel, self._interval, seconds)
 
     def step(self, what: str, count: int) -> None:
         """Report that ``count`` of ``what`` are done.

@@ -64,6 +64,14 @@ Count = Union[int, float]
 
 TRUE, FALSE = All(()), Some(())
 
+CheckStep = Callable[[str, int], None]
+"""Called with what was done, and how much of it; may raise an exception to end the work."""
+
+
+def goes_on(what: str, count: int) -> None:
+    """A step after which the work goes on."""
+
+
 MOST_VISITED = 1_000_000
 """Most markings that the checker visits."""
 
@@ -82,6 +90,9 @@ class Problem(NamedTuple):
     :ivar settling: the transitions that end what goes on by itself.
     :ivar chosen: whether a transition that the net enables in a marking is one of ``fires``; None
         if there is nothing quicker than to look.
+    :ivar home: the question whether every reachable marking leads back to the first one, which is
+        not bad, and with which no other one is; None if that is not so.
+    :ivar step: called at intervals of a check.
     """
 
     net: Net
@@ -92,6 +103,8 @@ class Problem(NamedTuple):
     surely: Optional[Callable[[Marking], bool]] = None
     settling: Tuple[int, ...] = ()
     chosen: Optional[Callable[[Marking, int], bool]] = None
+    home: Any = None
+    step: CheckStep = goes_on
 
 
 class CountBox:
@@ -208,7 +221,7 @@ def check_lemma(
         if t not in steps:
             raise ProofError("a lemma may fail when %s fires" % net.transitions[t].name)
         facts = [*known, lemma, *guard(net, t), *after(lemma, effect)]
-        check_tree(CountBox.of(net), facts, steps[t])
+        check_tree(CountBox.of(net), facts, steps[t], problem.step)
 
 
 def is_plainly_kept(net: Net, lemma: Some, t: int, effect: Dict[int, int]) -> bool:
@@ -235,7 +248,9 @@ def after(lemma: Some, effect: Dict[int, int]) -> List[Formula]:
 # -- trees -----------------------------------------------------------------------------------------
 
 
-def check_tree(box: CountBox, facts: Sequence[Formula], nodes: Any) -> None:
+def check_tree(
+    box: CountBox, facts: Sequence[Formula], nodes: Any, step: CheckStep = goes_on
+) -> None:
     """Require that a tree shows that no marking of ``box`` fulfils all ``facts``.
 
     The first of its ``nodes`` is the root. A node has ``steps``, each ``[place, is_low, count,
@@ -252,6 +267,7 @@ def check_tree(box: CountBox, facts: Sequence[Formula], nodes: Any) -> None:
         box = outer.copy()
         try:
             for p, is_low, count, reason in nodes[number]["steps"]:
+                step("nodes checked", number)
                 rest = box.copy()
                 rest.narrow(p, not is_low, count - 1 if is_low else count + 1)
                 _check_reason(rest, facts, reason)
@@ -299,8 +315,8 @@ def check_certificate(problem: Problem, certificate: Any) -> str:
     """Require that a certificate shows that no reachable marking is bad.
 
     It has ``lemmas`` and the nodes of a ``tree``, or the number of ``markings`` to be visited
-    again. A lemma has a list ``some`` of inequalities ``[{place: weight}, least]``, one of which
-    always holds, and perhaps ``steps``: transition -> nodes.
+    again, or ``ways`` home. A lemma has a list ``some`` of inequalities ``[{place: weight},
+    least]``, one of which always holds, and perhaps ``steps``: transition -> nodes.
 
     :returns: what was checked, for people.
     :raises ProofError: it does not.
@@ -308,14 +324,19 @@ def check_certificate(problem: Problem, certificate: Any) -> str:
     try:
         if "markings" in certificate:
             return _visit(problem, certificate["markings"])
+        if "ways" in certificate and problem.home is not None:
+            return str(problem.home.check(certificate))
         known: List[Formula] = []
         numbers = problem.net.transition_index
         for written in certificate["lemmas"]:
             atoms = tuple(_read_atom(problem.net, *each) for each in written["some"])
             steps = {numbers[name]: tree for name, tree in written.get("steps", {}).items()}
+            problem.step("lemmas checked", len(known))
             check_lemma(problem, known, Some(atoms), steps)
             known.append(Some(atoms))
-        check_tree(CountBox.of(problem.net), [*known, *problem.facts], certificate["tree"])
+        check_tree(
+            CountBox.of(problem.net), [*known, *problem.facts], certificate["tree"], problem.step
+        )
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise ProofError("the certificate cannot be read: %r" % error) from None
     return "%d lemmas" % len(known)
@@ -345,6 +366,7 @@ def _visit(problem: Problem, number: Any) -> str:
     seen = {problem.net.initial_marking}
     waiting = [problem.net.initial_marking]
     while waiting:
+        problem.step("markings checked", len(seen))
         marking = waiting.pop()
         if problem.is_bad(marking):
             raise ProofError("a bad marking can be reached")

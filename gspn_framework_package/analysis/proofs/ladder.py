@@ -7,9 +7,11 @@ teams get stuck in them as in a run.
 1. *Structure*: invariants and bounds of places, by which the facts of the question exclude each
    other.
 2. *State equation*: linear programs, and marked traps, exclude what is left, case by case.
-3. *Exploration* of few markings, which finds the shortest firings that lead to a bad one.
-4. *Guided search* for such firings, from a solution of the state equation.
-5. *Exploration* of as many markings as the limit and the time allow.
+3. *Ways home*, where the question is whether the robots of a plan can get back to their first
+   places: one after another, while the others rest.
+4. *Exploration* of few markings, which finds the shortest firings that lead to a bad one.
+5. *Guided search* for such firings, from a solution of the state equation.
+6. *Exploration* of as many markings as the limit and the time allow.
 
 The first step that decides ends it. What is *proven* has a certificate that
 :mod:`~gspn_framework_package.analysis.proofs.checker` has accepted, or the number of all markings.
@@ -35,6 +37,7 @@ from gspn_framework_package.analysis.proofs.checker import (
     check_certificate,
     played_to,
 )
+from gspn_framework_package.analysis.proofs.homing import Homing
 from gspn_framework_package.analysis.proofs.prover import Candidate, Prover
 from gspn_framework_package.analysis.proofs.questions import (
     FROM_EVERYWHERE,
@@ -65,6 +68,9 @@ FIRST_FIRINGS = 400
 
 FIRINGS_OF_EACH = 20
 """Number of these firings for each robot, where that is more."""
+
+FIRST_SHARE = 0.2
+"""Most of the time for them, where each of their markings may take long to look at."""
 
 SHORTENING = 1.0
 """Most time (s) to take out of a way what it does not need."""
@@ -137,15 +143,12 @@ def decide_question(
     :raises CancelledError: ``cancel`` returned true.
     :raises GspnError: see :func:`~gspn_framework_package.analysis.proofs.questions.problem_of`.
     """
+    watch = Watch(progress, cancel, seconds=seconds)
     try:
-        problem = problem_of(subject, question)
+        problem = problem_of(subject, question, watch)
     except LimitError as error:
         return Answer(question, NOT_DECIDED, (LadderStep("structure", str(error), 0.0),))
-    ladder = _Ladder(subject, question, problem, seconds, limit, progress, cancel)
-    try:
-        return ladder.climb()
-    except LimitError as error:  # whether a marking is bad
-        return ladder.not_decided(str(error))
+    return _Ladder(subject, question, problem, watch, limit, progress, cancel).climb()
 
 
 def decide_for_team(
@@ -179,28 +182,37 @@ class _Ladder:
         subject: Union[Net, Plan],
         question: MarkingQuestion,
         problem: Problem,
-        seconds: float,
+        watch: Watch,
         limit: int,
         progress: Optional[Progress],
         cancel: Optional[Cancel],
     ) -> None:
         self._subject, self._question, self._problem = subject, question, problem
         self._limit, self._progress, self._cancel = limit, progress, cancel
-        self._end = time.monotonic() + seconds
+        self._watch = watch
         self._steps: List[LadderStep] = []
         self._begun = time.monotonic()
 
     def climb(self) -> Answer:
         """Take the steps until one decides."""
-        if self._problem.is_bad(self._problem.net.initial_marking):
-            return self._violated("exploration", ())
+        try:
+            if self._problem.is_bad(self._problem.net.initial_marking):
+                return self._violated("exploration", ())
+        except LimitError:
+            pass  # what follows is too much to visit, but a proof may know
         large = len(self._problem.net.places) > PLACES_EXPLORED
-        answer = self._wander(1.0, self._first_firings()) if large else None
+        # who looks at all that follows a marking may not get far
+        first = 1.0 if self._problem.surely is not None else FIRST_SHARE
+        answer = self._wander(first, self._first_firings()) if large else None
         if answer is not None:
             return answer
         found = self._prove()
         if isinstance(found, Answer):
             return found
+        if self._problem.home is not None:
+            answer = self._go_home(self._problem.home)
+            if answer is not None:
+                return answer
         few = min(self._limit, FEW_MARKINGS)
         answer = self._explore(few) if few else None
         if answer is None and large:
@@ -211,18 +223,9 @@ class _Ladder:
             answer = self._explore(self._limit)
         return answer or Answer(self._question, NOT_DECIDED, tuple(self._steps))
 
-    def not_decided(self, reason: str) -> Answer:
-        """The answer if a step could not be taken."""
-        self._step("exploration", reason)
-        return Answer(self._question, NOT_DECIDED, tuple(self._steps))
-
     def _first_firings(self) -> int:
         robots = len(self._subject.robots) if isinstance(self._subject, Plan) else 0
         return max(FIRST_FIRINGS, FIRINGS_OF_EACH * robots)
-
-    def _watch(self) -> Watch:
-        left = max(self._end - time.monotonic(), 0.0)
-        return Watch(self._progress, self._cancel, seconds=left)
 
     def _step(self, name: str, outcome: str) -> None:
         now = time.monotonic()
@@ -233,9 +236,7 @@ class _Ladder:
         if not self._problem.facts:
             self._step("structure", "the condition is not linear")
             return None
-        left = max(self._end - time.monotonic(), 0.0)
-        watch = Watch(self._progress, self._cancel, seconds=PROVING * left)
-        prover = Prover(self._problem, watch)
+        prover = Prover(self._problem, self._watch.part(PROVING))
         try:
             found = prover.prove()
         except LimitError as error:
@@ -244,27 +245,38 @@ class _Ladder:
         if isinstance(found, Candidate):
             self._step(_name_of(prover), "it allows a marking that no trap excludes")
             return found
+        more = ", %d cases, %d linear programs" % (prover.cases, prover.programs)
+        return self._accepted(_name_of(prover), found, more)
+
+    def _go_home(self, home: Homing) -> Optional[Answer]:
+        try:
+            found = home.certificate(self._watch.part(PROVING))
+        except LimitError as error:
+            self._step("ways home", str(error))
+            return None
+        return self._accepted("ways home", found)
+
+    def _accepted(self, name: str, found: Dict[str, Any], more: str = "") -> Optional[Answer]:
+        """The answer with a proof, if the checker accepts it."""
         try:
             how = check_certificate(self._problem, found)
         except ProofError as error:  # not expected
-            self._step(_name_of(prover), "its proof was not accepted: %s" % error)
+            self._step(name, "its proof was not accepted: %s" % error)
             return None
-        self._step(
-            _name_of(prover),
-            "%s, %d cases, %d linear programs" % (how, prover.cases, prover.programs),
-        )
+        except LimitError as error:
+            self._step(name, str(error))
+            return None
+        self._step(name, how + more)
         return Answer(self._question, PROVEN, tuple(self._steps), certificate=found)
 
     def _wander(self, part: float, firings: float = math.inf) -> Optional[Answer]:
         """Look for a bad marking by random walks, for a part of the time that is left."""
-        left = max(self._end - time.monotonic(), 0.0)
-        watch = Watch(self._progress, self._cancel, seconds=part * left)
-        sequence = walk_until_stuck(self._problem, watch, firings)
+        sequence = walk_until_stuck(self._problem, self._watch.part(part), firings)
         return None if sequence is None else self._found("random walks", sequence)
 
     def _found(self, name: str, sequence: List[str]) -> Answer:
         """The answer with firings that are perhaps more than are needed."""
-        watch = Watch(self._progress, self._cancel, seconds=SHORTENING)
+        watch = self._watch.part(1.0, SHORTENING)
         return self._violated(name, shortened(self._problem, sequence, watch))
 
     def _violated(self, name: str, sequence: Sequence[str]) -> Answer:
@@ -279,11 +291,8 @@ class _Ladder:
         )
 
     def _search(self, candidate: Candidate) -> Optional[Answer]:
-        watch = self._watch()
-        if (
-            self._question.kind in FROM_EVERYWHERE
-        ):  # the candidate may be no case: leave time to explore
-            watch = watch.half()
+        # from everywhere, the candidate may be no case: leave time to explore
+        watch = self._watch.part(0.5 if self._question.kind in FROM_EVERYWHERE else 1.0)
         sequence = realise(self._problem, candidate, watch)
         if sequence is not None:
             return self._found("guided search", sequence)
@@ -291,7 +300,7 @@ class _Ladder:
         return None
 
     def _explore(self, limit: int) -> Optional[Answer]:
-        seconds = self._end - time.monotonic()
+        seconds = self._watch.left
         if seconds <= 0:
             self._step("exploration", "no time was left")
             return None
@@ -299,10 +308,15 @@ class _Ladder:
         bad = self._may_be_bad(space)
         if markings is not None:
             bad &= markings.reached
-        for state in np.flatnonzero(bad).tolist():
-            if self._problem.is_bad(space.marking(state)):
-                way = space.path_to(state) if markings is None else markings.way_to(state)
-                return self._violated("exploration", way)
+        try:
+            for number, state in enumerate(np.flatnonzero(bad).tolist()):
+                self._watch.step("markings that may be bad", number)
+                if self._problem.is_bad(space.marking(state)):
+                    way = space.path_to(state) if markings is None else markings.way_to(state)
+                    return self._violated("exploration", way)
+        except LimitError as error:
+            self._step("exploration", str(error))
+            return None
         number = len(space) if markings is None else int(markings.reached.sum())
         if not space.complete:
             self._step("exploration", "not within %s markings" % format(len(space), ","))
@@ -326,7 +340,7 @@ class _Ladder:
             losses=self._question.losses,
             progress=self._progress,
             cancel=self._cancel,
-            seconds=seconds,
+            seconds=seconds / 2,  # what the policy never chooses takes as long again
             keep=[place.name for place in self._problem.net.places],
         )
         return markings.space, markings

@@ -14,7 +14,19 @@ from __future__ import annotations
 import math
 from collections import deque
 from fractions import Fraction
-from typing import Any, Deque, Dict, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import (
+    Any,
+    Deque,
+    Dict,
+    Iterable,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+)
 
 import numpy as np
 import scipy
@@ -26,7 +38,6 @@ from gspn_framework_package.analysis.proofs.checker import (
     Formula,
     Problem,
     Some,
-    change,
     guard,
     written_lemma,
 )
@@ -87,8 +98,8 @@ class Prover:
     def __init__(self, problem: Problem, watch: Watch) -> None:
         self._problem, self._watch = problem, watch
         self._net = problem.net
-        self._effects = [dict(self._net.effect(t)) for t in range(len(self._net.transitions))]
         self._lemmas: List[Some] = []
+        self._traps: Set[int] = set()  # the lemmas that do not follow from the state equation
         self._near: List[List[int]] = [[] for _ in self._net.places]
         for number, fact in enumerate(problem.facts):
             self._listen(number, fact)
@@ -184,6 +195,7 @@ class Prover:
         waiting: Deque[int] = deque(queue)
         queued = set(waiting)
         while waiting:
+            self._watch.step("steps of a proof", len(steps))
             number = waiting.popleft()
             queued.discard(number)
             fact = self._fact(number)
@@ -191,7 +203,6 @@ class Prover:
                 return [[1, number, 0]]
             for atom in box.implied(fact):
                 for p, is_low, count in list(_narrowed(box, atom)):
-                    self._watch.step("steps of a proof", len(steps))
                     steps.append([p, is_low, count, [[1, number, 0]]])
                     box.narrow(p, is_low, count)
                     if box.empty:
@@ -212,9 +223,9 @@ class Prover:
             (number, which, atom)
             for number in range(-len(self._lemmas), len(self._problem.facts))
             for which, atom in enumerate(box.implied(self._fact(number)))
-            if len(atom.terms) > 1 and (number >= 0 or self._is_trap(number))
+            if len(atom.terms) > 1 and (number >= 0 or number in self._traps)
         ]
-        found = self._state_equation.solve(box, [atom for _, _, atom in sums])
+        found = self._state_equation.solve(box, [atom for _, _, atom in sums], self._watch.left)
         if found.excluded_by is None:
             return None, found.point, found.firings
         weights, times = found.excluded_by
@@ -223,11 +234,6 @@ class Prover:
             least = sum(w * self._net.initial_marking[p] for p, w in weights)
             reason.append([1, self._add(Some((Atom(tuple(weights), least),))), 0])
         return reason, None, {}
-
-    def _is_trap(self, number: int) -> bool:
-        """Whether a lemma does not follow from the state equation."""
-        atom = self._lemmas[-1 - number].parts[0]
-        return any(change(atom, self._effects[t]) < 0 for t in self._problem.transitions)
 
     def _branch(self, box: CountBox, point: Sequence[float]) -> Tuple[int, int]:
         """A place and a count to divide the box at; -1 if ``point`` is a marking with the facts."""
@@ -253,7 +259,9 @@ class Prover:
         places = [net.place_number(name) for name in largest_trap(net, empty, arcs=self._arcs)]
         if not any(net.places[p].tokens for p in places):
             return None
-        return self._add(Some((Atom(tuple((p, 1) for p in places), 1),)))
+        number = self._add(Some((Atom(tuple((p, 1) for p in places), 1),)))
+        self._traps.add(number)
+        return number
 
 
 def _places(formula: Formula) -> Iterator[int]:
@@ -395,8 +403,10 @@ class _StateEquation:
         )
         self._effects = [net.effect(t) for t in self._transitions]
 
-    def solve(self, box: CountBox, atoms: Sequence[Atom]) -> _Answer:
+    def solve(self, box: CountBox, atoms: Sequence[Atom], seconds: float) -> _Answer:
         """Ask whether a marking of the box is ``m0 + C x`` and fulfils ``atoms``.
+
+        :param seconds: the longest time for it.
 
         The dual program is solved: weights of places, of which no firing lowers the sum, and
         multiples of the atoms, so that the sum of all of them is as far as possible above what the
@@ -426,8 +436,10 @@ class _StateEquation:
         bounds += [(0.0, None)] * (self._places + len(atoms))
         right = np.zeros(len(self._transitions) + 1)
         right[-1] = 1.0
-        answer = linprog(cost, matrix, right, bounds=bounds, method="highs")
-        if answer.x is None:
+        answer = linprog(
+            cost, matrix, right, bounds=bounds, method="highs", options={"time_limit": seconds}
+        )
+        if answer.x is None or answer.status == 1:
             raise LimitError("not decided: the solver of linear programs gave up")
         if answer.fun > -1e-9:
             firings = np.maximum(-answer.ineqlin.marginals[:-1], 0)

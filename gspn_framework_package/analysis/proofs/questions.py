@@ -42,6 +42,7 @@ from gspn_framework_package.analysis.proofs.checker import (
     opposite,
 )
 from gspn_framework_package.analysis.proofs.conditions import condition_of, facts_of, formula_of
+from gspn_framework_package.analysis.proofs.homing import Homing
 from gspn_framework_package.analysis.proofs.policy_rows import MOST_PROOF_ROWS, RowsOfPlaces
 from gspn_framework_package.analysis.proofs.returning import (
     FiringsLeft,
@@ -49,6 +50,7 @@ from gspn_framework_package.analysis.proofs.returning import (
     never_returns,
     settling,
 )
+from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.condition import Condition
 from gspn_framework_package.model.errors import LimitError, UsageError
 from gspn_framework_package.model.net import Marking, Net
@@ -105,9 +107,12 @@ class MarkingQuestion(NamedTuple):
         return (text % self.about if self.about else text) + more
 
 
-def problem_of(subject: Union[Net, Plan], question: MarkingQuestion) -> Problem:
+def problem_of(
+    subject: Union[Net, Plan], question: MarkingQuestion, watch: Optional[Watch] = None
+) -> Problem:
     """The facts of a question.
 
+    :param watch: may end the look at what follows a marking, of which its ``is_bad`` asks.
     :raises UsageError: there is no such question about this subject.
     :raises GspnError: the condition cannot be read, or the transition does not exist.
     :raises LimitError: the policy is too large.
@@ -116,14 +121,15 @@ def problem_of(subject: Union[Net, Plan], question: MarkingQuestion) -> Problem:
         raise UsageError("there is no question '%s'" % question.kind)
     if question.kind == ALWAYS:
         question = question._replace(kind=NEVER, about="not (%s)" % question.about)
+    watch = watch or Watch()
     if isinstance(subject, Plan):
-        return _OfPlan(subject, question).problem()
+        return _OfPlan(subject, question, watch).problem()._replace(step=watch.step)
     if question.kind in (NO_ROW, CAN_END, CAN_MOVE) or question.losses:
         raise UsageError("a net has no policy, and no robots that end or can be lost")
-    return _of_net(subject, question)
+    return _of_net(subject, question, watch)._replace(step=watch.step)
 
 
-def _of_net(net: Net, question: MarkingQuestion) -> Problem:
+def _of_net(net: Net, question: MarkingQuestion, watch: Watch) -> Problem:
     everything = tuple(range(len(net.transitions)))
     if question.kind == NEVER:
         condition = condition_of(question.about, net)
@@ -136,7 +142,7 @@ def _of_net(net: Net, question: MarkingQuestion) -> Problem:
         condition = condition_of(question.about, net)
         facts = _never_back(condition, net)
         goal = opposite(facts[0]) if facts else None
-        is_bad = never_returns(net, facts, condition.holds, net.enabled, goal)
+        is_bad = never_returns(net, facts, condition.holds, net.enabled, watch, goal)
         return Problem(net, everything, facts, is_bad, net.enabled)
     if question.kind == FIRES:
         t = net.transition_number(question.about)
@@ -204,8 +210,8 @@ def _disabled(net: Net, t: int) -> Formula:
 class _OfPlan:
     """The facts of a question about a plan."""
 
-    def __init__(self, plan: Plan, question: MarkingQuestion) -> None:
-        self._plan, self._question = plan, question
+    def __init__(self, plan: Plan, question: MarkingQuestion, watch: Watch) -> None:
+        self._plan, self._question, self._watch = plan, question, watch
         named: Sequence[str] = ()
         if question.kind in (NEVER, RETURNS):
             named = condition_of(question.about, plan.net).places
@@ -244,6 +250,7 @@ class _OfPlan:
         kind, net = self._question.kind, self._net
         facts: Tuple[Formula, ...]
         is_bad: Callable[[Marking], bool]
+        home: Optional[Homing] = None
         if kind == NEVER:
             condition = condition_of(self._question.about, net)
             facts, is_bad = facts_of(condition), condition.holds
@@ -255,7 +262,9 @@ class _OfPlan:
         elif kind in (RETURNS, CAN_END):
             facts, holds = self._never_back()
             goal = opposite(facts[0]) if facts else None
-            is_bad = never_returns(net, facts, holds, self.fires, goal)
+            is_bad = never_returns(net, facts, holds, self.fires, self._watch, goal)
+            if holds(net.initial_marking):
+                home = self._homing()
         else:
             how = {DEAD: self._dead, FIRES: self._fires, NO_ROW: self._gap}[kind]
             facts = (*self._not_over(), *(fact for fact in how() if not _is_true(fact)))
@@ -266,7 +275,21 @@ class _OfPlan:
             return Problem(
                 net, transitions, facts, is_bad, self.fires, self._stuck, steps, self._chosen
             )
-        return Problem(net, transitions, facts, is_bad, self.fires, chosen=self._chosen)
+        return Problem(net, transitions, facts, is_bad, self.fires, chosen=self._chosen, home=home)
+
+    def _homing(self) -> Optional[Homing]:
+        """The question whether robots can always get back to their first places; None where the
+        counts of robots decide what fires."""
+        if self._until is not None or not self._plan.resource_places.issuperset(
+            self._plan.policy.places
+        ):
+            return None
+        transitions = self._firing()
+        problem = Problem(
+            self._net, transitions, (), fires=self.fires, is_bad=bool, chosen=self._chosen
+        )
+        settles = tuple(settling(self._net, self._by_themselves()))
+        return Homing(problem._replace(step=self._watch.step), frozenset(self._robots), settles)
 
     def _firing(self) -> Tuple[int, ...]:
         """The transitions that may ever fire."""
@@ -412,6 +435,7 @@ class _OfPlan:
                 facts,
                 partial(self._some_fire, exits),
                 self.fires,
+                self._watch,
                 goal,
                 partial(self._stuck_in, p) if self._until is None else None,
             )

@@ -176,17 +176,20 @@ def never_returns(
     facts: Sequence[Formula],
     holds: Callable[[Marking], bool],
     fires: Callable[[Marking], Iterable[int]],
+    watch: Watch,
     goal: Optional[Formula] = None,
     surely: Optional[Callable[[Marking], bool]] = None,
 ) -> Callable[[Marking], bool]:
     """Whether a marking fulfils the facts, and the goal ``holds`` in none that it can come to.
 
-    The function raises LimitError if that takes too many markings.
+    The function raises LimitError if that takes too many markings, or too long.
 
+    :param watch: of the whole question: what was found out before needs no time.
     :param goal: what holds in every marking of the goal, for a proof that there is none.
     :param surely: says of some markings, quickly, that none of the goal follows.
     """
     returning: Set[Marking] = set()
+    never: Set[Marking] = set()
     proofs = [MOST_PROOFS]
 
     def is_proven(marking: Marking, goal: Formula) -> bool:
@@ -195,11 +198,11 @@ def never_returns(
         from gspn_framework_package.analysis.proofs.prover import Candidate, Prover
 
         proofs[0] -= 1
-        problem = Problem(
-            net.with_marking(marking), tuple(range(len(net.transitions))), (goal,), holds, fires
-        )
+        everything = tuple(range(len(net.transitions)))
+        start = net.with_marking(marking)
+        problem = Problem(start, everything, (goal,), holds, fires, step=watch.step)
         try:
-            found = Prover(problem, Watch(seconds=SECONDS_OF_PROOF)).prove()
+            found = Prover(problem, watch.part(1.0, SECONDS_OF_PROOF)).prove()
             if not isinstance(found, Candidate):
                 check_certificate(problem, found)
                 return True
@@ -210,13 +213,16 @@ def never_returns(
     def is_bad(marking: Marking) -> bool:
         if marking in returning or not all(fulfils(fact, marking) for fact in facts):
             return False
-        if surely is not None and surely(marking):
+        if marking in never or surely is not None and surely(marking):
             return True
         came: Dict[Marking, Optional[Marking]] = {marking: None}
         waiting: Deque[Marking] = deque([marking])
         tries = True
         while waiting:
+            watch.step("markings that follow", len(came))
             now = waiting.popleft()
+            if now in never:
+                continue
             if now in returning or holds(now):
                 back: Optional[Marking] = now
                 while back is not None:
@@ -231,9 +237,10 @@ def never_returns(
             if len(came) > FEW_FOLLOWED and tries and proofs[0] > 0 and goal is not None:
                 tries = False
                 if is_proven(marking, goal):
-                    return True
+                    break
             if len(came) > MOST_FOLLOWED:
                 raise LimitError("not decided: too many markings follow one of those in question")
+        never.update(came)
         return True
 
     return is_bad

@@ -46,7 +46,7 @@ def realise(problem: Problem, candidate: Candidate, watch: Watch) -> Optional[Li
     try:
         found = search.go_on(FIRST_MARKINGS)
         if found is None:
-            found = _walk(problem, firings, watch.half())
+            found = _walk(problem, firings, watch.part(0.5))
         if found is None:
             found = search.go_on(MOST_SEARCHED)
     except LimitError:
@@ -109,13 +109,13 @@ def walk_until_stuck(
     :param firings: the most firings of all walks together.
     """
     found: Optional[List[int]]
-    if problem.surely is None:
-        try:
+    try:
+        if problem.surely is None:
             found = _walk(problem, {}, watch, firings)
-        except LimitError:
-            return None
-    else:
-        found = _walk_to_a_trap(problem, problem.surely, watch, firings)
+        else:
+            found = _walk_to_a_trap(problem, problem.surely, watch, firings)
+    except LimitError:
+        return None
     return None if found is None else [problem.net.transitions[t].name for t in found]
 
 
@@ -181,10 +181,7 @@ def _walk_to_a_trap(
         markings, way = [net.initial_marking], []
         for length in range(1, LONGEST_WALK):
             firings -= 1
-            try:
-                watch.step("random walks", walks)
-            except LimitError:
-                return None
+            watch.step("random walks", walks)
             if firings < 0:
                 return None
             able = list(problem.fires(markings[-1]))
@@ -255,10 +252,7 @@ def _walk(
             most -= 1
             if most < 0:
                 return None
-            try:
-                watch.step("random walks", walks)
-            except LimitError:
-                return None
+            watch.step("random walks", walks)
             able = list(problem.fires(marking))
             if not able:
                 break

@@ -5,7 +5,9 @@ import json
 import os
 import random
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,12 +15,19 @@ from asked_markings import SHAPES
 from generated_nets import bounded_nets, reference_space
 from generated_plans import small_plans
 from hypothesis import HealthCheck, assume, given, settings
+from scipy.optimize import OptimizeResult
 
+from gspn_framework_package.analysis import watch as watch_module
 from gspn_framework_package.analysis.graph import can_reach
 from gspn_framework_package.analysis.plan.markings import PlanMarkings
 from gspn_framework_package.analysis.plan.structure import terminal_places
 from gspn_framework_package.analysis.proofs import ladder, returning, witness
-from gspn_framework_package.analysis.proofs.checker import ProofError, check_certificate, played_to
+from gspn_framework_package.analysis.proofs.checker import (
+    CountBox,
+    ProofError,
+    check_certificate,
+    played_to,
+)
 from gspn_framework_package.analysis.proofs.ladder import (
     NOT_DECIDED,
     PROVEN,
@@ -30,6 +39,7 @@ from gspn_framework_package.analysis.proofs.questions import (
     AT_MOST,
     CAN_END,
     CAN_MOVE,
+    NEVER,
     RETURNS,
     MarkingQuestion,
     problem_of,
@@ -42,9 +52,10 @@ from gspn_framework_package.making.site_plan import build_site_plan
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.condition import parse_condition
-from gspn_framework_package.model.errors import UsageError
-from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.errors import CancelledError, LimitError, UsageError
+from gspn_framework_package.model.net import Arc, Net, Place
 from gspn_framework_package.model.plan import Plan, RobotSpec
+from gspn_framework_package.model.policy import Policy
 
 PLANS = Path(__file__).parents[3] / "plans"
 EXAMPLES = int(os.environ.get("GSPN_RETURNING_EXAMPLES", "20"))
@@ -195,6 +206,64 @@ def test_too_many_markings_follow(monkeypatch):
     assert "too many markings follow" in answer.steps[-1].outcome
 
 
+@pytest.fixture
+def work_clock(monkeypatch):
+    """A clock that only work moves on: each firing, each fact that is held against counts, and a
+    linear program as long as it may."""
+    now = [0.0]
+
+    def takes_time(function, seconds):
+        def timed(*given, **more):
+            now[0] += seconds
+            return function(*given, **more)
+
+        return timed
+
+    def never_ends(*given, options, **more):
+        now[0] += options["time_limit"]
+        return OptimizeResult(x=None, status=1)
+
+    monkeypatch.setattr(watch_module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(Net, "fire", takes_time(Net.fire, 0.01))
+    monkeypatch.setattr(CountBox, "allows", takes_time(CountBox.allows, 0.0001))
+    monkeypatch.setattr("scipy.optimize.linprog", never_ends)
+    return now
+
+
+@pytest.mark.parametrize(
+    ("subject", "kind", "about"),
+    [
+        ("switches", RETURNS, "min(on1, on2) > 1"),
+        ("switches", RETURNS, "on1 + on2 + on3 = 0"),
+        ("hall", RETURNS, "At_n0_full = 10 and At_n4_full = 10"),
+        ("hall", NEVER, "At_n0_full * At_n4_full > 400"),
+        ("hall", CAN_MOVE, ""),
+        ("narrow", CAN_MOVE, ""),
+    ],
+)
+def test_every_step_keeps_the_budget(subject, kind, about, work_clock, tmp_path, monkeypatch):
+    monkeypatch.setattr(ladder, "PLACES_EXPLORED", 0)
+    subject = {
+        "switches": lambda: switches(20).build(),
+        "hall": lambda: hall(20, tmp_path),
+        "narrow": lambda: narrow(12, tmp_path),
+    }[subject]()
+    for seconds in (0.5, 3.0):
+        begun = work_clock[0]
+        decide_question(subject, MarkingQuestion(kind, about), limit=0, seconds=seconds)
+        assert work_clock[0] - begun <= 1.1 * seconds + 0.2
+
+
+def test_the_look_at_what_follows_can_be_cancelled(monkeypatch):
+    fired = []
+    fire = Net.fire
+    monkeypatch.setattr(Net, "fire", lambda *given: fired.append(given) or fire(*given))
+    question = MarkingQuestion(RETURNS, "min(on1, on2) > 1")
+    with pytest.raises(CancelledError):
+        decide_question(switches(20).build(), question, cancel=lambda: len(fired) > 100)
+    assert len(fired) < 150
+
+
 def test_what_settles_makes_a_sum_of_tokens_smaller():
     """Two parts of a token, of which one goes around in a circle and the other does not."""
     builder = NetBuilder("settling")
@@ -238,6 +307,59 @@ def test_robots_that_wait_for_tasks_do_not_wait_for_ever(tmp_path):
             question = question._replace(losses=losses)
             answer = decide_question(plan, question, limit=0)
             assert answer.verdict == PROVEN and answer.decided_by == "structure"
+
+
+HOME = "At_n0_full = 10 and At_n4_full = 10"
+
+
+def test_robots_get_home_one_after_another(tmp_path):
+    """No firing leads everybody nearer to the first places, but one robot gets there while the
+    others rest, whatever has happened."""
+    plan, question = hall(20, tmp_path), MarkingQuestion(RETURNS, HOME)
+    answer = decide_question(plan, question, limit=0)
+    assert answer.verdict == PROVEN and answer.decided_by == "ways home"
+    certificate = json.loads(json.dumps(answer.certificate))
+    assert "ways" in check_certificate(problem_of(plan, question), certificate)
+    lost = question._replace(losses=True)
+    with pytest.raises(ProofError, match="number of robots may change"):
+        check_certificate(problem_of(plan, lost), certificate)
+    for other in ("At_n0_full = 11", "At_n0_full = 10 and Fresh_Work_n2 = 1"):
+        with pytest.raises(ProofError):
+            check_certificate(problem_of(plan, MarkingQuestion(RETURNS, other)), certificate)
+    far = {way[0]: way for way in certificate["ways"]}
+    assert len(far) > 10
+    for forged in (
+        {**certificate, "ways": [way for way in certificate["ways"] if way[0] != "At_n0_full"]},
+        {**certificate, "ways": [far["At_n0_full"]]},
+        {**certificate, "ways": [way[:-1] for way in certificate["ways"]]},
+        {**certificate, "ways": [[way[0]] for way in certificate["ways"]]},
+        {**certificate, "ways": [*certificate["ways"], ["nowhere"]]},
+        {**certificate, "ways": [*certificate["ways"], ["At_n0_full", "no_transition"]]},
+        {**certificate, "ways": [*certificate["ways"], ["At_n1_full", "Go_n0_n1_full"]]},
+        {**certificate, "rest": {"lemmas": [], "tree": certificate["rest"]["tree"]}},
+        {"ways": certificate["ways"]},
+    ):
+        with pytest.raises(ProofError):
+            check_certificate(problem_of(plan, question), forged)
+
+
+def test_the_ways_home_need_what_holds(tmp_path):
+    """A policy that counts robots, a run that ends, a robot that rests where no way leads home, and
+    a resource that does not come back."""
+    plan, question = hall(2, tmp_path), MarkingQuestion(RETURNS, "At_n0_full = 1")
+    assert problem_of(plan, question).home is not None
+    assert problem_of(replace(plan, until="At_n2_full > 1"), question).home is None
+    counting = Policy((*plan.policy.places[:-1], "At_n0_full"), plan.policy.rows)
+    assert problem_of(replace(plan, policy=counting), question).home is None
+    elsewhere = MarkingQuestion(RETURNS, "At_n1_full = 1")
+    assert problem_of(plan, elsewhere).home is None, "it is not the first marking"
+    watch = watch_module.Watch()
+    with pytest.raises(LimitError):
+        problem_of(ending(3, True), MarkingQuestion(RETURNS, "a = 3")).home.certificate(watch)
+    net = plan.net.with_place(Place("fuel", tokens=99)).with_arc(Arc("fuel", "Go_n0_n1_full"))
+    using = replace(plan, net=net, resource_places=plan.resource_places | {"fuel"})
+    with pytest.raises(LimitError):
+        problem_of(using, question).home.certificate(watch)
 
 
 def narrow(robots, folder):
