@@ -192,6 +192,9 @@ def run(
             except ViolationError as error:
                 violations.append({"schedule": str(schedule), "text": str(error)})
                 outcome = None
+            except Exception as error:  # a replica that would end its node
+                violations.append({"schedule": str(schedule), "text": "%r" % error})
+                outcome = None
             sums["schedules"] += 1
             kind = "%d %s" % (schedule.robots, "partial" if schedule.partial else "full")
             sizes[kind] = sizes.get(kind, 0) + 1

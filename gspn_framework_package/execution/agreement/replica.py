@@ -279,6 +279,7 @@ class Replica:
                 self.reactions.want_events()
                 self.deployment.want_vote()
             self.proposer.drive()
+            self.reactions.follow()  # a robot that is a quorum by itself has decided by now
         times = [
             *self.membership.wake_times(),
             *self.proposer.wake_times(),

@@ -9,7 +9,7 @@ import pytest
 
 from agreement.plans import make_plan
 from agreement.world import SimulatedNode, World
-from gspn_framework_package.execution import log_entries, task_turn, team_state
+from gspn_framework_package.execution import log_entries, plan_change, task_turn, team_state
 from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.firing import StartAction
@@ -18,6 +18,7 @@ from gspn_framework_package.execution.verifier import verify
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.event import EventSource
+from gspn_framework_package.model.net import Net, Place
 from gspn_framework_package.model.plan import Plan, RobotSpec, Synchronisation
 
 ERRANDS, ROUNDS = 4, 5
@@ -265,3 +266,19 @@ def test_a_task_that_was_given_up_with_its_slot_is_not_missed() -> None:
     assert world.run(world.now + 6, world.has_settled)
     logs = [EventLog(d.header["log"], d.header, d.records(), world.plan) for d in world.logs()]
     assert verify(logs, settled=True).violation is None
+
+
+def test_a_robot_that_adopts_another_plan_by_itself_looks_at_the_places_of_that_plan() -> None:
+    world = delivering()
+    old = world.plan
+    spare = [Place("Spare_%d" % number) for number in range(len(old.net.places))]
+    net = Net([*spare, *old.net.places], old.net.transitions, old.net.arcs)
+    names = {place.name for place in spare}
+    new = replace(old, net=net, resource_places=old.resource_places | names).validate()
+    node = world.nodes["r1"]
+    for order in (plan_change.stage_of(new, {}), log_entries.Adopt(-1)):
+        world.operator(order, node)
+        world.run(world.now + 1.0)
+    assert node.replica is not None and node.replica.ledger.game.plan.net == net
+    world.done("r1", "delivered")
+    assert not world.entries("failed")
