@@ -133,6 +133,7 @@ def test_an_outcome_that_the_team_never_has_is_refused() -> None:
         plan_from_json(differing(outcomes=always))
 
 
+@pytest.mark.long
 def test_the_simulation_and_virtual_time_follow_each_robot() -> None:
     plan = plan_from_json(differing())
     found = throughputs(plan)["there"]
@@ -142,6 +143,7 @@ def test_the_simulation_and_virtual_time_follow_each_robot() -> None:
     assert abs(alone["loaded"].mean - 0.9 * TRUTH[1]) < 3 * alone["loaded"].half_width
 
 
+@pytest.mark.long
 def test_virtual_time_follows_each_robot(tmp_path: Any) -> None:
     plan = plan_from_json(differing())
     attempts = gather([recorded(tmp_path, plan, 60_000.0)]).attempts
@@ -153,6 +155,7 @@ def test_virtual_time_follows_each_robot(tmp_path: Any) -> None:
         assert named.count("loaded") / len(named) == pytest.approx(share, abs=0.05)
 
 
+@pytest.mark.long
 def test_what_robots_differ_in_is_learned_and_predicts_the_truth(
     tmp_path: Any, capsys: Any
 ) -> None:
@@ -192,6 +195,7 @@ def test_what_robots_differ_in_is_learned_and_predicts_the_truth(
     assert "ALARM" not in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_robots_that_are_alike_seldom_get_their_own(tmp_path: Any) -> None:
     """Each kind of test has a level of 5 %, for all places together."""
     plan = plan_from_json(differing(own_times={}))
@@ -215,6 +219,7 @@ def test_times_without_spread_are_told_apart(tmp_path: Any) -> None:
     assert found["robot_2"].durations["Drive"].mean == pytest.approx(20.0)
 
 
+@pytest.mark.long
 def test_a_later_fit_forgets_what_no_longer_holds(tmp_path: Any) -> None:
     path = write(tmp_path, differing())
     log = recorded(tmp_path, plan_from_json(differing(own_times={})), 20_000.0)
@@ -239,6 +244,7 @@ def test_what_does_not_distinguish_robots_refuses_them(tmp_path: Any, capsys: An
     assert "0.0" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_sweeps_and_factors_reach_each_robot() -> None:
     plan = plan_from_json(differing())
     slower = Parameters({"Drive": 2.0}, {}, {}, {}).apply(plan)
