@@ -282,3 +282,22 @@ def test_a_robot_that_adopts_another_plan_by_itself_looks_at_the_places_of_that_
     assert node.replica is not None and node.replica.ledger.game.plan.net == net
     world.done("r1", "delivered")
     assert not world.entries("failed")
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        log_entries.CancelTask("t1"),
+        log_entries.GiveBack("t1"),
+        log_entries.PrioritiseTask("t1", 7),
+    ],
+)
+def test_an_order_about_a_task_after_the_end_in_the_same_slot_is_not_done(order: Any) -> None:
+    world = delivering()
+    node = world.nodes["r1"]
+    assert node.replica is not None
+    both = interface.Order("first", log_entries.Stop("enough")), interface.Order("second", order)
+    node.carry_out(node.replica.step_all(both, world.now))
+    world.run(world.now + 1.0)
+    assert node.results["first"].ok
+    assert node.results["second"][1:] == (False, "the run is over: enough")
