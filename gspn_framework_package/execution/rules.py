@@ -162,7 +162,7 @@ class Rules:
         return [r for r in robots if self._is_free(state, r, t)]
 
     def _is_free(self, state: TeamState, robot: RobotState, t: int) -> bool:
-        if robot.paused or (t in self.takes and not self.may_take(state, robot, t)):
+        if robot.paused or not self.may_take(state, robot, t):
             return False
         return robot.request == t or (robot.request == POLICY and not self.net.transitions[t].timed)
 

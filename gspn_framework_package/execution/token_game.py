@@ -28,11 +28,13 @@ INTERRUPTIBLE = (Phase.DOING, Phase.DONE, Phase.FAILED)
 
 class Step(NamedTuple):
     """The effects of some entries, in order. ``adopted`` holds the plans that the team adopted in
-    between: (number of preceding firings, the rules from there on)."""
+    between: (number of preceding firings, the rules from there on). The entries ``late`` came after
+    the end of the run and have none."""
 
     firings: List[Firing]
     commands: List[GameCommand]
     adopted: Tuple[Tuple[int, TokenGame], ...] = ()
+    late: Tuple[log_entries.Entry, ...] = ()
 
     def game(self, before: TokenGame) -> TokenGame:
         """The rules after these entries."""
@@ -123,12 +125,15 @@ class TokenGame(Rules):
         Stale entries (an old visit or incarnation, a robot that is gone) change nothing.
         """
         turn = _Reducer(self, state, slot)
+        late: List[log_entries.Entry] = []
         for entry in batch:
             if state.ended is None:
                 turn.apply(entry)
                 turn.settle()
+            else:
+                late.append(entry)
         state.next_slot = slot + 1
-        return Step(turn.firings, turn.commands, tuple(turn.adopted))
+        return Step(turn.firings, turn.commands, tuple(turn.adopted), tuple(late))
 
 
 class _Reducer(TaskTurn):

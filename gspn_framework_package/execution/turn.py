@@ -128,7 +128,7 @@ class Turn:
             if not self.rules.may_fire(self.state, t):
                 refused.add(t)
                 continue
-            if t in self.rules.takes and not self.rules.may_take(self.state, robot, t):
+            if not self.rules.may_take(self.state, robot, t):
                 continue
             if best is None or self.rules.urgency[t] > self.rules.urgency[best[0]]:
                 best = (t, robot)

@@ -147,21 +147,14 @@ class ProposalQueue:
         if why:
             return why
         team = self.state.ledger.state
+        if step is not None and entry in step.late:
+            return "the run is over: %s" % team.ended
+        if isinstance(entry, (log_entries.GiveBack, log_entries.PrioritiseTask)):
+            return team.why_not_one_task(entry.id)
         if isinstance(entry, log_entries.CancelTask):
             ended = team.end_of(entry.id)
-            if ended is not None and ended.outcome == TASK_CANCELLED:
-                return ""
-        if isinstance(entry, log_entries.ABOUT_TASKS):
-            why = team.why_not_one_task(entry.id)
-            if why or team.ended is None:
-                return why
-            # the run may have ended earlier in the slot
-            (found,) = team.tasks_with(entry.id)
-            if isinstance(entry, log_entries.GiveBack):
-                done = not found.robot
-            else:
-                done = getattr(entry, "priority", None) == found.task.priority
-            return "" if done else "the run is over: %s" % team.ended
+            cancelled = ended is not None and ended.outcome == TASK_CANCELLED
+            return "" if cancelled else team.why_not_one_task(entry.id)
         if isinstance(
             entry, (log_entries.Leave, log_entries.Evict)
         ) and self.electorate.members() == [entry.robot]:

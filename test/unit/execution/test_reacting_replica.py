@@ -290,9 +290,11 @@ def test_a_robot_that_adopts_another_plan_by_itself_looks_at_the_places_of_that_
         log_entries.CancelTask("t1"),
         log_entries.GiveBack("t1"),
         log_entries.PrioritiseTask("t1", 7),
+        log_entries.Pause(""),
+        log_entries.SetPlace("r1", "Deliver"),
     ],
 )
-def test_an_order_about_a_task_after_the_end_in_the_same_slot_is_not_done(order: Any) -> None:
+def test_an_order_after_the_end_in_the_same_slot_is_not_done(order: Any) -> None:
     world = delivering()
     node = world.nodes["r1"]
     assert node.replica is not None
