@@ -24,6 +24,7 @@ from gspn_framework_package.model.failure import (
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import (
     MAX_ROBOTS,
+    TIME_KEYS,
     LostKind,
     LostRule,
     OwnTimes,
@@ -182,7 +183,7 @@ def plan_from_json(
         **_times(data),
         own_times=_own_times(data.get("own_times", {}), robots, file),
         chance=frozenset(data.get("chance", ())),
-        evidence=_evidence(data, _LEARNED),
+        evidence=_evidence(data, (*TIME_KEYS, "rates")),
         events={t: EventSource.from_json(e) for t, e in data.get("events", {}).items()},
         tasks=Tasks.from_json(data.get("tasks", {})),
         subnets={name: Subnet.from_json(s) for name, s in data.get("subnets", {}).items()},
@@ -201,11 +202,7 @@ def plan_from_json(
     return with_parts(plan.with_rates(rates), parts).validate()
 
 
-_TIMES = ("durations", "outcomes", "failures")
-
-_LEARNED = (*_TIMES, "rates")
-
-LEARNED = (*_LEARNED, "own_times")
+LEARNED = (*TIME_KEYS, "rates", "own_times")
 """The keys whose entries may say ``of`` what they were learned."""
 
 
@@ -233,7 +230,7 @@ def _own_times(data: Dict[str, Any], robots: Any, file: Optional[str]) -> Dict[s
                 element=within,
                 hint="there are: %s" % ", ".join(sorted(known)[:12]),
             )
-        found[robot] = OwnTimes(**_times(own, within + "."), evidence=_evidence(own, _TIMES))
+        found[robot] = OwnTimes(**_times(own, within + "."), evidence=_evidence(own, TIME_KEYS))
     return found
 
 

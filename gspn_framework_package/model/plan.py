@@ -101,6 +101,10 @@ class RobotSpec(NamedTuple):
     capabilities: Tuple[str, ...] = ()
 
 
+TIME_KEYS = ("durations", "outcomes", "failures")
+"""The keys of the plan file of what :class:`OwnTimes` holds."""
+
+
 class OwnTimes(NamedTuple):
     """What a robot does in its own time and with its own outcomes, in place of the team's:
     ``durations``, ``outcomes`` and ``failures``, each by place as in the plan, and the ``evidence``
@@ -131,7 +135,7 @@ class OwnTimes(NamedTuple):
             return {place: v for place, v in getattr(self, key).items() if keep(key, place)}
 
         evidence = {name: of for name, of in self.evidence.items() if keep(*name)}
-        return OwnTimes(kept("durations"), kept("outcomes"), kept("failures"), evidence)
+        return self._replace(evidence=evidence, **{key: kept(key) for key in TIME_KEYS})
 
 
 class Timing(NamedTuple):
@@ -248,13 +252,18 @@ class Plan:
 
     def action(self, robot: str, place: str) -> Action:
         """Return the action of ``robot`` in ``place``."""
-        own = self._own_actions.get(robot, self.actions)
+        own = self.own_actions.get(robot, self.actions)
         return own[place] if place in own else self.actions.get(place)
 
     @cached_property
-    def _own_actions(self) -> Dict[str, Mapping[str, Action]]:
+    def own_actions(self) -> Dict[str, Mapping[str, Action]]:
         """The actions of the robots that have some of their own."""
         return {spec.name: spec.actions for spec in self.robots if spec.actions}
+
+    @property
+    def times(self) -> OwnTimes:
+        """The durations, outcomes and failures of the team."""
+        return OwnTimes(self.durations, self.outcomes, self.failures, self.evidence)
 
     def bindings(self) -> Iterator[Tuple[str, Action]]:
         """Yield every place that is bound to an action, with the action: first those of the team,
@@ -514,7 +523,7 @@ class Plan:
         """Return the plan with the rates of its net's file, and without the durations, outcomes and
         failures that were learned from runs (those with ``evidence``). Its hash differs if a rate
         does: it is for analysis, not for a run."""
-        given = OwnTimes(self.durations, self.outcomes, self.failures, self.evidence).nominal()
+        given = self.times.nominal()
         own = {robot: times.nominal() for robot, times in self.own_times.items()}
         return replace(
             self,
@@ -679,7 +688,7 @@ class Plan:
         return any(self._holds_robots(p) for p, _ in arcs)
 
     def _validate_times(self) -> None:
-        self._validate_values("", OwnTimes(self.durations, self.outcomes, self.failures))
+        self._validate_values("", self.times)
         for robot, own in self.own_times.items():
             within = "own_times.%s." % robot
             self._validate_values(within, own)
@@ -699,7 +708,8 @@ class Plan:
                 for p, chance in own.failures.items()
                 if chance > 0 and not self.failures.get(p)
             ]
-            for key, place in new:
+            if new:
+                key, place = new[0]
                 raise self._error(
                     "%s%s.%s" % (within, key, place),
                     "a robot cannot have a duration, an outcome or failures that the team has not",
@@ -718,7 +728,7 @@ class Plan:
 
     def _validate_values(self, within: str, values: OwnTimes) -> None:
         """Check values that may be learned. :param within: what is before their keys."""
-        for key in ("durations", "outcomes", "failures"):
+        for key in TIME_KEYS:
             for place in getattr(values, key):
                 self._known_place(place, within + key)
                 if place in self.resource_places:

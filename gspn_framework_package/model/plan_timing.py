@@ -142,11 +142,9 @@ class PlanTiming:
 
     def is_idle(self, p: int, robot: str = "") -> bool:
         """Whether the place is mapped to no action: for the robot, or for the team."""
-        name = self._net.places[p].name
-        for spec in self._plan.robots:
-            if spec.name == robot and name in spec.actions:
-                return spec.actions[name] is None
-        return name in self._plan.actions and self._plan.actions[name] is None
+        name, plan = self._net.places[p].name, self._plan
+        mapped = name in plan.actions or name in plan.own_actions.get(robot, {})
+        return mapped and plan.action(robot, name) is None
 
     def _why_split(self, p: int, timing: PlaceTiming) -> str:
         leaving = self._of_action[p]

@@ -187,19 +187,19 @@ def _read_mesh(shape: etree._Element, place: ShapePlace) -> Optional[List[Obstac
     scale = (1.0, 1.0, 1.0) if element is None else tuple(numbers_in(element, 3, place))
     if 0.0 in scale:
         raise place.error("its <scale> is 0", shape)
-    missing = without_a_point(file)
-    if missing is not None:
-        raise place.error(missing, shape, "export the mesh again")
+    fault = fault_of_mesh(file)
+    if fault:
+        raise place.error(fault, shape, "export the mesh again")
     return _hit(
         place, shape, '<mesh filename=%s scale="%r %r %r"/>' % (quoteattr(file), *scale), file
     )
 
 
-def without_a_point(file: str) -> Optional[str]:
+def fault_of_mesh(file: str) -> str:
     """Where a face of an ``.obj`` file names a point that is not in the file, of which PyBullet
-    would read whatever lies there in memory; None if none does, or the file is of another kind."""
+    would read whatever lies there in memory; "" if none does, or the file is of another kind."""
     if not file.lower().endswith(".obj"):
-        return None
+        return ""
     with open(file, encoding="utf-8", errors="replace") as lines:
         words = [(number, line.split()) for number, line in enumerate(lines, 1)]
     before, points = 0, sum(word[:1] == ["v"] for _, word in words)
@@ -210,7 +210,7 @@ def without_a_point(file: str) -> Optional[str]:
                 point = int(corner.split("/")[0])
                 if not (1 <= point <= points or -before <= point <= -1):
                     return "line %d of %s names a point that is not in it" % (number, file)
-    return None
+    return ""
 
 
 def _hit(

@@ -15,7 +15,7 @@ import numpy as np
 from gspn_framework_package.formats.xml_tree import all_of, child, line_of, parse_xml, tag
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.world.room import Obstacle
-from gspn_framework_package.world.shapes import ShapePlace, matrix, read_shape, without_a_point
+from gspn_framework_package.world.shapes import ShapePlace, matrix, read_shape
 
 if TYPE_CHECKING:
     from lxml import etree
@@ -202,9 +202,6 @@ def _file_of(urdf: Urdf, uri: str, named: etree._Element) -> str:
         path = os.path.join(_package_folder(urdf, package, named), inner)
     if not os.path.isfile(path):
         raise urdf.error("there is no mesh '%s'" % uri, named, "looked for %s" % path)
-    missing = without_a_point(path)
-    if missing is not None:
-        raise urdf.error(missing, named, "export the mesh again")
     return path
 
 

@@ -19,7 +19,7 @@ from gspn_framework_package.formats.xml_tree import all_of, child, tag
 from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.world.bodies import call_apart, connect_bullet, quiet
 from gspn_framework_package.world.room import Pose, RobotType
-from gspn_framework_package.world.shapes import matrix, read_shape
+from gspn_framework_package.world.shapes import fault_of_mesh, matrix, read_shape
 from gspn_framework_package.world.urdf import (
     Urdf,
     UrdfJoint,
@@ -210,7 +210,12 @@ def _load(client: Any, urdf: Urdf, kind: RobotType, pose: Pose) -> int:
 
 
 def _try_loading(urdf: Urdf, kind: RobotType) -> None:
-    """Load it on trial. :raises InputError: PyBullet does not load it."""
+    """Load it on trial. :raises InputError: PyBullet does not load it, or not as it is meant."""
+    for link in urdf.links.values():
+        for mesh in link.iter("mesh"):
+            fault = fault_of_mesh(str(mesh.get("filename")))
+            if fault:
+                raise urdf.error(fault, link, "export the mesh again")
     if not call_apart(_loads, kind):
         hint = "it loads meshes of .dae, .obj and binary .stl"
         raise InputError("PyBullet does not load it", file=urdf.file, hint=hint)

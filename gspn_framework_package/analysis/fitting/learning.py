@@ -39,7 +39,7 @@ from gspn_framework_package.analysis.watch import Progress, Watch
 from gspn_framework_package.model.attempt import Attempt, EventCount
 from gspn_framework_package.model.duration import FAMILIES, Duration, Evidence, Family, Kind
 from gspn_framework_package.model.outcome import Outcome
-from gspn_framework_package.model.plan import OwnTimes, Plan
+from gspn_framework_package.model.plan import TIME_KEYS, OwnTimes, Plan
 
 ENOUGH_FOR_QUANTILES = 200
 """With fewer observations than this, a family that fits badly is not replaced by quantiles."""
@@ -185,8 +185,7 @@ class FitReport(NamedTuple):
         :param per_robot: whether robots that differ get their own values.
         """
         names = tuple(logs)
-        team = OwnTimes(plan.durations, plan.outcomes, plan.failures, plan.evidence)
-        team = _learned(team, dict.fromkeys(_KEYS, self.places), names)
+        team = _learned(plan.times, dict.fromkeys(TIME_KEYS, self.places), names)
         known = {place for place, found in self.places.items() if found.fit is not None}
         own = {robot: times.without(known) for robot, times in plan.own_times.items()}
         for robot, its in self.own.items() if per_robot else ():
@@ -204,9 +203,6 @@ class FitReport(NamedTuple):
             own_times={robot: times for robot, times in own.items() if any(times)},
             evidence=evidence,
         ).validate()
-
-
-_KEYS = ("durations", "outcomes", "failures")
 
 
 def _learned(
@@ -331,7 +327,7 @@ class _Learning:
         """What robots have for themselves, as in :class:`FitReport`."""
         own: Dict[str, Dict[str, Dict[str, PlaceFit]]] = {}
         team = {robot.name for robot in self.plan.robots}
-        for key in _KEYS:
+        for key in TIME_KEYS:
             tests = len(self._doubts.get(_DIFFER % key, ()))
             for place, of_place in learned.items():
                 ps = [p for p, _ in of_place.doubts.get(_DIFFER % key, ())]
@@ -349,7 +345,7 @@ class _Learning:
         generator = np.random.Generator(np.random.PCG64(source))
         found = self._place(place, attempts, generator)
         robots: Dict[str, PlaceFit] = {}
-        differ = [p for key in _KEYS for p, _ in self._doubts.get(_DIFFER % key, ())]
+        differ = [p for key in TIME_KEYS for p, _ in self._doubts.get(_DIFFER % key, ())]
         if any(_is_clear(p, 1) for p in differ):
             for robot in sorted({a.robot for a in attempts}):
                 alone = _Learning(self.plan, self.choice, self.seed, 0)

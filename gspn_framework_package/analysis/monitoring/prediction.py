@@ -206,7 +206,7 @@ class Parameters(NamedTuple):
     def apply(self, plan: Plan) -> Plan:
         """The plan with these values."""
         plain = self._replace(outcomes={}, failures={})
-        team = self._applied(OwnTimes(plan.durations, plan.outcomes, plan.failures))
+        team = self._applied(plan.times)
         return replace(
             plan,
             net=plan.net.with_rates(
@@ -235,8 +235,7 @@ def is_uncertain(plan: Plan) -> bool:
 
 def draw_parameters(plan: Plan, generator: np.random.Generator) -> Parameters:
     """Draw values of the parameters of a plan that were learned from logs; see the module."""
-    team = OwnTimes(plan.durations, plan.outcomes, plan.failures, plan.evidence)
-    drawn = _drawn(team, plan.rates, generator)
+    drawn = _drawn(plan.times, plan.rates, generator)
     own = plan.own_times.items()
     return drawn._replace(own={robot: _drawn(times, {}, generator) for robot, times in own})
 

@@ -56,7 +56,7 @@ from gspn_framework_package.analysis.simulation.pairs import (
 )
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.errors import UsageError
-from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.plan import TIME_KEYS, Plan
 
 BATCH_SECONDS = 10.0
 """Default computing time of a comparison (s)."""
@@ -227,8 +227,7 @@ class _Comparison:
         self._gave_up = ""
         old, new = contest.old, contest.new
         if dataclasses.replace(new, policy=old.policy).hash() != old.hash() or any(
-            getattr(old, key) != getattr(new, key)
-            for key in ("durations", "outcomes", "failures", "own_times")
+            getattr(old, key) != getattr(new, key) for key in (*TIME_KEYS, "own_times")
         ):
             self.notes.append("the plans differ in more than their policies")
         self.notes += list(dict.fromkeys(s for run in self.runs for s in run.assumptions))

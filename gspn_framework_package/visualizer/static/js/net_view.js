@@ -100,9 +100,7 @@ export class NetView extends EventTarget {
       sheet("travel", this.layer.travel),
     );
     this.moving = [...Object.values(this.layer), ...this.tiles.values()];
-    this.subnets.apply();
-    for (const node of this.nodes) settle(node);
-    this.arcs.route(this.nodes);
+    this.redraw();
   }
 
   /** The group of nearby nodes that a node is drawn in: groups that do not change are not redrawn. */
@@ -260,11 +258,16 @@ export class NetView extends EventTarget {
     this.arcs.showNear(node);
   }
 
-  /** Subnets were folded or unfolded. */
-  refold() {
+  /** Draw the nodes where they are now, subnets as they are folded, and the arcs between them. */
+  redraw() {
     this.subnets.apply();
     for (const node of this.nodes) settle(node);
     this.arcs.route(this.nodes);
+  }
+
+  /** Subnets were folded or unfolded. */
+  refold() {
+    this.redraw();
     this.reset();
     this.labels.later();
   }
@@ -300,9 +303,7 @@ export class NetView extends EventTarget {
   relayout(layout) {
     this.kept.forget();
     this.put(layout);
-    this.subnets.apply();
-    for (const node of this.nodes) settle(node);
-    this.arcs.route(this.nodes);
+    this.redraw();
     this.camera.fit();
     this.labels.later();
   }
