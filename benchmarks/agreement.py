@@ -189,11 +189,9 @@ def run(
         for schedule in schedules:
             try:
                 outcome = run_schedule(schedule)
-            except ViolationError as error:
-                violations.append({"schedule": str(schedule), "text": str(error)})
-                outcome = None
-            except Exception as error:  # a replica that would end its node
-                violations.append({"schedule": str(schedule), "text": "%r" % error})
+            except Exception as error:  # also that of a replica, which would end its node
+                text = str(error) if isinstance(error, ViolationError) else repr(error)
+                violations.append({"schedule": str(schedule), "text": text})
                 outcome = None
             sums["schedules"] += 1
             kind = "%d %s" % (schedule.robots, "partial" if schedule.partial else "full")
