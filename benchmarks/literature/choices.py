@@ -112,6 +112,68 @@ def erlang(instance: int) -> Net:
     return net.build()
 
 
+WAYS = {
+    "12": (15.20, 15.68),
+    "13": (9.13, 9.13),
+    "14": (17.75, 18.03),
+    "23": (14.79, 13.30),
+    "25": (20.45, 20.43),
+    "26": (25.39, 24.30),
+    "34": (15.46, 16.11),
+    "35": (23.50, 24.05),
+    "36": (19.84, 19.32),
+    "37": (24.64, 24.64),
+    "46": (24.91, 23.94),
+    "47": (20.19, 19.67),
+    "56": (16.07, 15.09),
+    "58": (18.67, 17.82),
+    "67": (17.05, 18.08),
+    "68": (7.60, 7.60),
+    "78": (18.26, 17.84),
+}
+"""Two nodes of the museum -> mean time (s) from the first to the second, and back."""
+
+CLOSED = {"2": 0.1, "3": 0.9, "4": 0.5, "5": 0.1, "6": 0.9, "7": 0.5}
+"""Node with a door -> how often it is closed."""
+
+LEVEL = ("12", "13", "14", "23", "34", "56", "67")
+"""The ways that lead through no door. Any other leads through that of its first node."""
+
+SHORTEST, EVERY = 1, 2
+"""Which ways the robot may take in :func:`museum`."""
+
+
+def museum(ways: int) -> Net:
+    """The way through a museum (Street, Grubb and Mansouri, *Planning under Uncertainty from
+    Behaviour Trees*, 2025): a robot looks at a door when it is there, and opens one that is closed
+    in 30 s. With :data:`SHORTEST` it does as their initial tree does, and takes the shortest way,
+    1, 3, 6 and 8, whatever the doors are; with :data:`EVERY` it chooses among all ways."""
+    net = NetBuilder("museum_%d" % ways)
+    for node in "12345678":
+        net.place("v" + node, tokens=int(node == "1"))
+    for node, closed in CLOSED.items():
+        here, unknown = "v" + node, "unknown" + node
+        looking, shut, opening, free = (w + node for w in ("looking", "closed", "opening", "open"))
+        net.place(unknown, tokens=1)
+        for place in (looking, shut, opening, free):
+            net.place(place)
+        net.immediate("look" + node, 0, inputs=[here, unknown], outputs=looking)
+        net.immediate("finds_closed" + node, closed, inputs=looking, outputs=[here, shut])
+        net.immediate("finds_open" + node, 1 - closed, inputs=looking, outputs=[here, free])
+        net.immediate("opens" + node, 0, inputs=[here, shut], outputs=opening)
+        net.exponential("opened" + node, 1 / 30, inputs=opening, outputs=[here, free])
+    for way, (there, back) in WAYS.items():
+        for seconds, a, b in ((there, way[0], way[1]), (back, way[1], way[0])):
+            if ways == SHORTEST and a + b not in ("13", "36", "68"):
+                continue
+            door = [] if way in LEVEL else ["open" + way[0]]
+            going = "going" + a + b
+            net.place(going)
+            net.immediate("go" + a + b, 0, inputs=["v" + a, *door], outputs=[going, *door])
+            net.exponential("comes" + a + b, 1 / seconds, inputs=going, outputs="v" + b)
+    return net.build()
+
+
 class Choices:
     """The decision problem of a net.
 

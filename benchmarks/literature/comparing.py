@@ -10,7 +10,6 @@ from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence
 import psutil
 
 from benchmarks.literature.answers import CERTIFIED, Between, Subject
-from benchmarks.literature.choices import Choices
 from benchmarks.literature.published import Published
 from benchmarks.literature.questions import COUNTING, FAMILIES, VISITED, VISITING
 from gspn_framework_package.model.errors import GspnError
@@ -76,7 +75,7 @@ def compare(group: Sequence[Published], certified: int = CERTIFIED) -> List[Row]
     answers: Dict[str, Any] = {**(COUNTING if counted else VISITING), **family.answers}
     started = time.process_time()
     net = family.build(first.size)
-    subject = Choices(net) if family.decides else Subject(net, certified)
+    subject = family.solver(net) if family.solver else Subject(net, certified)
     rows = []
     known: Dict[str, Between] = {}
     for value in group:

@@ -24,6 +24,9 @@ DEFAULT_ERROR = 1e-3
 """How much a tool's default answer may be wrong, relative to the value: what the competition QComp
 2019 allowed."""
 
+STANDARD_ERRORS = 2.0
+"""How many of its standard errors the mean of runs may be off."""
+
 _DIGITS = 1e-15
 """Relative error of an exact value that was printed as a floating-point number."""
 
@@ -35,7 +38,7 @@ class Published(NamedTuple):
     :ivar size: which of its nets.
     :ivar answer: the name of what is asked.
     :ivar text: the value as it was published.
-    :ivar kind: how good it is: exact, sound, default or printed.
+    :ivar kind: how good it is: exact, sound, default, printed or measured.
     :ivar source: where it was published.
     :ivar wrong: whether it is known to be wrong.
     """
@@ -51,12 +54,12 @@ class Published(NamedTuple):
     @property
     def lower(self) -> float:
         """The value, or the lower end of its interval."""
-        return float(self.text.split("..")[0])
+        return float(self.text.split("..")[0].split("+-")[0])
 
     @property
     def upper(self) -> float:
         """The value, or the upper end of its interval."""
-        return float(self.text.split("..")[-1])
+        return float(self.text.split("..")[-1].split("+-")[0])
 
     def agrees(self, ours: Between) -> bool:
         """Whether an interval that holds the value agrees with what was published."""
@@ -68,6 +71,8 @@ class Published(NamedTuple):
     def _slack(self) -> float:
         if self.kind == "default":
             return DEFAULT_ERROR * abs(self.lower)
+        if self.kind == "measured":
+            return STANDARD_ERRORS * float(self.text.split("+-")[1])
         if self.kind == "printed":
             digits = self.text.lower().split("e")[0].partition(".")[2]
             return 0.5 * 10.0 ** -len(digits)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Callable, Dict, Mapping, NamedTuple, Union
+from typing import Any, Callable, Dict, Mapping, NamedTuple, Optional
 
 from benchmarks import nets
 from benchmarks.literature import chains, choices
 from benchmarks.literature.answers import Between, Subject
 from benchmarks.literature.choices import Choices
+from benchmarks.solar_farm import HOUR, SolarFarm, solar_farm_plan
 from gspn_framework_package.analysis.decisions.aims import Aim
-from gspn_framework_package.model.net import Net
 
 VISITED = 3_000_000
 """Nets with more states than this are counted without visiting the states."""
@@ -17,16 +17,18 @@ VISITED = 3_000_000
 Answers = Mapping[str, Callable[[Subject, int], Between]]
 """Name -> our answer to the question, for the net of a size."""
 
-Decisions = Mapping[str, Callable[[Choices, int], Between]]
-"""The same for decision problems."""
-
 
 class Family(NamedTuple):
-    """Nets of one kind, by size, and what can be asked about them."""
+    """Nets of one kind, by size, and what can be asked about them.
 
-    build: Callable[[int], Net]
-    answers: Union[Answers, Decisions]
-    decides: bool = False
+    :ivar build: size -> the net, or what else is asked about.
+    :ivar answers: as :data:`Answers`.
+    :ivar solver: what is made of a net to be asked; None: a :class:`~.answers.Subject`.
+    """
+
+    build: Callable[[int], Any]
+    answers: Mapping[str, Callable[[Any, int], Between]]
+    solver: Optional[Callable[[Any], Any]] = None
 
 
 def _count(number: int) -> Between:
@@ -201,7 +203,7 @@ FAMILIES: Mapping[str, Family] = {
             ),
             "underrun": lambda c, n: c.best(Aim.REACH, "idle >= 1 and played >= 1", maximise=False),
         },
-        decides=True,
+        solver=Choices,
     ),
     "jobs": Family(
         choices.jobs,
@@ -213,7 +215,7 @@ FAMILIES: Mapping[str, Family] = {
                 Aim.COST_TO, "finished == %d" % n, maximise=True, place="unfinished", share=1 / n
             ),
         },
-        decides=True,
+        solver=Choices,
     ),
     "repaired_cluster": Family(
         choices.repaired_cluster,
@@ -221,7 +223,20 @@ FAMILIES: Mapping[str, Family] = {
             "longest_time": lambda c, n: c.best(Aim.COST_TO, _CUT_OFF, maximise=True),
             "shortest_time": lambda c, n: c.best(Aim.COST_TO, _CUT_OFF, maximise=False),
         },
-        decides=True,
+        solver=Choices,
+    ),
+    "museum": Family(
+        choices.museum,
+        {"mean_time": lambda c, n: c.best(Aim.TIME_TO, "v8 >= 1", maximise=False)},
+        solver=Choices,
+    ),
+    "solar_farm": Family(
+        solar_farm_plan,
+        {
+            "states": lambda f, n: _count(len(f.team.automaton)),
+            "reward_in_an_hour": lambda f, n: f.in_first(HOUR),
+        },
+        solver=SolarFarm,
     ),
     "erlang": Family(
         choices.erlang,
@@ -229,7 +244,7 @@ FAMILIES: Mapping[str, Family] = {
             "goal_probability": lambda c, n: c.best(Aim.REACH, "goal >= 1", maximise=False),
             "goal_time": lambda c, n: c.best(Aim.TIME_TO, "goal >= 1", maximise=False),
         },
-        decides=True,
+        solver=Choices,
     ),
 }
 """Short name -> the nets of that kind."""

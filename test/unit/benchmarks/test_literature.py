@@ -17,7 +17,8 @@ VALUES = read_published(FILE.read_text("utf-8"))
 
 
 @pytest.mark.parametrize(
-    ("family", "size"), [("philosophers", 4), ("tandem", 5), ("stream", 10), ("jobs", 5)]
+    ("family", "size"),
+    [("philosophers", 4), ("tandem", 5), ("stream", 10), ("jobs", 5), ("museum", 1)],
 )
 def test_small_nets_are_as_published(family, size):
     group = [v for v in VALUES if (v.family, v.size) == (family, size)]
@@ -53,6 +54,8 @@ def test_a_value_that_differs_is_reported(capsys, monkeypatch, tmp_path):
         ("printed", "5.444", False, comparing.DIFFERS),
         ("sound", "5.4455..5.4456", False, comparing.AGREES),
         ("sound", "5.4456..5.4457", False, comparing.DIFFERS),
+        ("measured", "5.4+-0.03", False, comparing.AGREES),
+        ("measured", "5.4+-0.02", False, comparing.DIFFERS),
         ("default", "5.6", True, comparing.EXPLAINED),
         ("default", "5.446", True, comparing.STALE),
     ],
@@ -77,7 +80,7 @@ def test_every_published_value_can_be_asked():
     assert len({literature.id_of(value) for value in VALUES}) == len(VALUES)
     for value in VALUES:
         assert value.answer in {**VISITING, **FAMILIES[value.family].answers}
-        assert value.kind in ("exact", "sound", "default", "printed") and value.source
+        assert value.kind in ("exact", "sound", "default", "printed", "measured") and value.source
         assert value.lower <= value.upper
 
 
