@@ -79,7 +79,8 @@ class ShortestWays:
         arcs = np.arange(len(targets)) if allowed is None else np.flatnonzero(allowed)
         self._sources = sources
         before, after = sources[arcs], targets[arcs]
-        depth = _depths(adjacency(nodes, before, after))
+        self.depth = depth = _depths(adjacency(nodes, before, after))
+        """Int array: the number of arcs on a shortest path to each node; -1 where there is none."""
         self.reached = depth >= 0
         """Boolean array: the nodes that have a path from node 0."""
         self._parent = np.full(nodes, -1, dtype=np.int64)

@@ -26,7 +26,7 @@ from gspn_framework_package.analysis.plan.edited_nets import with_end, with_loss
 from gspn_framework_package.analysis.plan.policy_answers import PolicyAnswers
 from gspn_framework_package.analysis.plan.structure import may_be_named, terminal_places
 from gspn_framework_package.analysis.state_space.space import StateSpace, explore
-from gspn_framework_package.analysis.watch import Cancel, Progress
+from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.plan import LostKind, Plan
 from gspn_framework_package.model.plan_timing import POLICY, PlanRules, PlanTiming, rules_of
 
@@ -51,8 +51,10 @@ class PlanMarkings:
     :param plan: a validated plan.
     :param limit: most states to visit.
     :param losses: whether robots can be lost.
-    :param seconds: stop visiting after this time (s).
+    :param seconds: the longest time (s), of which half is for visiting.
     :param keep: counters that are not left out.
+    :raises CancelledError: ``cancel`` returned true.
+    :raises LimitError: what the policy never chooses was not found in the rest of the time.
     """
 
     def __init__(
@@ -74,8 +76,9 @@ class PlanMarkings:
         if losses:
             net = with_losses(net, plan, set(self.left_out))
         self.net = net = with_end(net, plan)
+        self._watch = Watch(progress, cancel, seconds=seconds)
         self.space: StateSpace = explore(
-            net, limit=limit, untimed=True, progress=progress, cancel=cancel, seconds=seconds
+            net, limit=limit, untimed=True, progress=progress, cancel=cancel, seconds=seconds / 2
         )
         self._table = plan.policy.bind(plan.net)
         self._robots = [
@@ -95,6 +98,7 @@ class PlanMarkings:
                 if p in own
                 else np.zeros(len(states), dtype=np.int64)
             ),
+            self._watch,
         )
         self.possible = self.allowed.copy()
         """The firings that may happen: those that are allowed, and those that nobody but an action
@@ -128,6 +132,7 @@ class PlanMarkings:
         for t in range(self._own):
             if transitions[t].timed:
                 continue
+            self._watch.step("transitions of the policy", t)
             asking = [p for p, _ in self.net.inputs[t] if p in robots]
             if not asking:
                 continue
@@ -465,9 +470,14 @@ class PlanMarkings:
         """Boolean array: the states that firings that may happen lead to."""
         return self._ways_with_losses.reached
 
+    def nearest_first(self) -> Indices:
+        """The numbers of these states, those to which the fewest firings lead first."""
+        states = np.flatnonzero(self.reached)
+        return states[np.argsort(self._ways_with_losses.depth[states], kind="stable")]
+
     def way_to(self, state: int) -> List[str]:
-        """A shortest firing sequence to one of these states, without losses if there is one."""
-        return self._finding(state).sequence
+        """A shortest firing sequence to one of these states."""
+        return self._finding(state, ways=self._ways_with_losses).sequence
 
     # -- helpers -----------------------------------------------------------------------------------
 

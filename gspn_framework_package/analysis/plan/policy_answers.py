@@ -8,6 +8,7 @@ from typing import Callable, Dict, List, Optional, Tuple
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Indices
+from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.policy import Choices, Policy
 
@@ -18,9 +19,17 @@ class PolicyAnswers:
     :param net: the net of the plan.
     :param policy: the policy.
     :param counts: the counts of a place (its number in ``net``) in some states.
+    :param watch: may stop the search for an answer.
     """
 
-    def __init__(self, net: Net, policy: Policy, counts: Callable[[int, Indices], Indices]) -> None:
+    def __init__(
+        self,
+        net: Net,
+        policy: Policy,
+        counts: Callable[[int, Indices], Indices],
+        watch: Optional[Watch] = None,
+    ) -> None:
+        self._watch = watch or Watch()
         self._table = policy.bind(net)
         self._columns = [net.place_index[name] for name in policy.places]
         self._marking = list(net.initial_marking)
@@ -41,6 +50,7 @@ class PolicyAnswers:
         known = np.zeros(len(first), dtype=np.int64)
         for k, counts in enumerate(map(tuple, rows[first].tolist())):
             if (place, counts) not in self._known:
+                self._watch.step("answers of the policy", len(self._known))
                 for p, count in zip(self._columns, counts):
                     self._marking[p] = count
                 self._known[place, counts] = self._table.choices(self._marking, place)

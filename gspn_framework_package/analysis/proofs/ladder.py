@@ -26,7 +26,7 @@ from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
-from gspn_framework_package.analysis.arrays import Booleans
+from gspn_framework_package.analysis.arrays import Indices
 from gspn_framework_package.analysis.plan.markings import PlanMarkings
 from gspn_framework_package.analysis.proofs.checker import (
     All,
@@ -279,9 +279,9 @@ class _Ladder:
         watch = self._watch.part(1.0, SHORTENING)
         return self._violated(name, shortened(self._problem, sequence, watch))
 
-    def _violated(self, name: str, sequence: Sequence[str]) -> Answer:
+    def _violated(self, name: str, sequence: Sequence[str], more: str = "") -> Answer:
         marking = played_to(self._problem, sequence)
-        self._step(name, "%d firings that were played" % len(sequence))
+        self._step(name, "%d firings that were played%s" % (len(sequence), more))
         return Answer(
             self._question,
             VIOLATED,
@@ -304,16 +304,18 @@ class _Ladder:
         if seconds <= 0:
             self._step("exploration", "no time was left")
             return None
-        space, markings = self._visited(limit, seconds)
-        bad = self._may_be_bad(space)
-        if markings is not None:
-            bad &= markings.reached
         try:
-            for number, state in enumerate(np.flatnonzero(bad).tolist()):
+            space, markings = self._visited(limit, seconds)
+            bad = np.arange(len(space)) if markings is None else markings.nearest_first()
+            bad = self._where(All(self._problem.facts), space, bad)
+            for number, state in enumerate(bad.tolist()):
                 self._watch.step("markings that may be bad", number)
                 if self._problem.is_bad(space.marking(state)):
                     way = space.path_to(state) if markings is None else markings.way_to(state)
-                    return self._violated("exploration", way)
+                    none = markings is None or space.complete
+                    # a shorter way may lead through markings that were not visited
+                    none = none or len(way) <= len(space.path_to(space.explored)) + 1
+                    return self._violated("exploration", way, ", none are fewer" * none)
         except LimitError as error:
             self._step("exploration", str(error))
             return None
@@ -340,34 +342,31 @@ class _Ladder:
             losses=self._question.losses,
             progress=self._progress,
             cancel=self._cancel,
-            seconds=seconds / 2,  # what the policy never chooses takes as long again
+            seconds=seconds,
             keep=[place.name for place in self._problem.net.places],
         )
         return markings.space, markings
 
-    def _may_be_bad(self, space: StateSpace) -> Booleans:
-        """The states that fulfil the facts."""
-        bad = np.ones(len(space), dtype=bool)
-        for fact in self._problem.facts:
-            bad &= _holds_in(fact, space)
-        return bad
+    def _where(self, formula: Formula, space: StateSpace, states: Indices) -> Indices:
+        """Those of the states in which a formula holds."""
+        self._watch.step("markings that may be bad", len(states))
+        if not len(states):
+            return states
+        if isinstance(formula, Atom):
+            total = np.zeros(len(states), dtype=np.int64)
+            for p, weight in formula.terms:
+                total += weight * space.column(p, states)
+            return states[total >= formula.least]
+        if isinstance(formula, All):
+            for part in formula.parts:
+                states = self._where(part, space, states)
+            return states
+        fails = np.zeros(len(space), dtype=bool)
+        fails[states] = True
+        for part in formula.parts:
+            fails[self._where(part, space, np.flatnonzero(fails))] = False
+        return states[~fails[states]]
 
 
 def _name_of(prover: Prover) -> str:
     return "state equation" if prover.programs else "structure"
-
-
-def _holds_in(formula: Formula, space: StateSpace) -> Booleans:
-    """The states in which a formula holds."""
-    if isinstance(formula, Atom):
-        total = np.zeros(len(space), dtype=np.int64)
-        for p, weight in formula.terms:
-            total += weight * space.column(p).astype(np.int64)
-        return total >= formula.least
-    result = np.full(len(space), isinstance(formula, All))
-    for part in formula.parts:
-        if isinstance(formula, All):
-            result &= _holds_in(part, space)
-        else:
-            result |= _holds_in(part, space)
-    return result

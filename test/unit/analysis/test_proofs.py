@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from asked_markings import SHAPES, can_be_reached, questions_about
@@ -14,6 +15,7 @@ from generated_nets import bounded_nets
 from generated_plans import small_plans, with_events
 from hypothesis import given, settings
 
+from gspn_framework_package.analysis import watch
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.plan.markings import PlanMarkings
 from gspn_framework_package.analysis.preflight import MARKING_LIMIT, check
@@ -48,7 +50,7 @@ from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.errors import CancelledError, LimitError
 from gspn_framework_package.model.plan import Plan, RobotSpec
-from gspn_framework_package.model.policy import Policy, PolicyRow
+from gspn_framework_package.model.policy import Policy, PolicyRow, PolicyTable
 
 PLANS = Path(__file__).parents[3] / "plans"
 
@@ -100,8 +102,19 @@ def test_answers_are_those_of_visiting_all_markings(subjects, number, monkeypatc
     assert count[NOT_DECIDED] < sum(count.values()) / 4
 
 
-@pytest.mark.parametrize("subjects", [bounded_nets(), small_plans()], ids=["nets", "plans"])
-def test_with_exploration_everything_small_is_decided(subjects):
+def fewest_firings(problem):
+    """The number of firings that lead to a bad marking, found by trying all that are as short."""
+    levels = [{problem.net.initial_marking}]
+    while not any(map(problem.is_bad, levels[-1])):
+        after = {problem.net.fire(m, t) for m in levels[-1] for t in problem.fires(m)}
+        levels.append(after.difference(*levels))
+    return len(levels) - 1
+
+
+@pytest.mark.parametrize("kinds", ["nets", "plans"])
+def test_with_exploration_everything_small_is_decided_and_shown_by_the_fewest_firings(kinds):
+    subjects, found = {"nets": bounded_nets(), "plans": small_plans()}[kinds], Counter()
+
     @settings(derandomize=True, max_examples=40, deadline=None)
     @given(subjects)
     def ask(subject):
@@ -110,8 +123,37 @@ def test_with_exploration_everything_small_is_decided(subjects):
             answer = decide_question(subject, question, limit=2_000)
             if expected is not None:
                 assert answer.verdict == (VIOLATED if expected else PROVEN), (question, answer)
+            if answer.verdict == VIOLATED and answer.decided_by == "exploration":
+                fewest = fewest_firings(problem_of(subject, question))
+                assert len(answer.sequence) == fewest, (question, answer)
+                found["losses" if question.losses else "whole"] += fewest > 1
 
     ask()
+    assert found["whole"] > 5 and (found["losses"] > 5 or kinds == "nets")
+
+
+def test_firings_that_the_policy_never_chooses_make_no_marking_near():
+    """``trap`` is one firing away from ``start``, but three as the policy chooses; ``pit`` two."""
+    net = (
+        NetBuilder("near")
+        .place("start", tokens=1)
+        .place("trap")
+        .place("way")
+        .place("pit")
+        .place("far")
+        .immediate("jump", inputs="start", outputs="trap")
+        .immediate("walk", inputs="start", outputs="way")
+        .exponential("on", inputs="way", outputs="far")
+        .exponential("fall", inputs="way", outputs="pit")
+        .exponential("arrive", inputs="far", outputs="trap")
+        .build()
+    )
+    policy = Policy(["start"], [PolicyRow((None,), (("walk", 1.0),))])
+    plan = Plan(net, [RobotSpec("r1", "start")], policy=policy)
+    answer = decide_question(plan, MarkingQuestion(NEVER, "trap + pit >= 1"))
+    assert answer.decided_by == "exploration"
+    assert answer.steps[-1].outcome == "2 firings that were played, none are fewer"
+    assert answer.sequence == ("walk", "fall")
 
 
 UNKNOWN = "unknown"
@@ -267,6 +309,24 @@ def test_a_proof_can_be_cancelled_and_runs_out_of_time():
     answer = decide_question(lanes(), MarkingQuestion(DEAD), seconds=0)
     assert answer.verdict == NOT_DECIDED and not answer.decided_by
     assert "not decided within" in answer.steps[0].outcome
+
+
+def test_what_comes_after_exploring_keeps_the_time_too(monkeypatch):
+    """Every look at the policy takes a second, of which there are five."""
+    plan, clock = read_plan(str(PLANS / "patrol")), [0.0]
+    monkeypatch.setattr(watch, "time", SimpleNamespace(monotonic=lambda: clock[0]))
+    question = MarkingQuestion(NEVER, " + ".join(plan.net.place_index) + " >= 100 * min(1, 1)")
+    look = PolicyTable.choices
+
+    def slow_look(*given):
+        clock[0] += 1.0
+        return look(*given)
+
+    monkeypatch.setattr(PolicyTable, "choices", slow_look)
+    answer = decide_question(plan, question, seconds=5.0)
+    assert answer.verdict == NOT_DECIDED and 5.0 < clock[0] < 7.0
+    assert "not decided within 5 s (6 answers of the policy)" in answer.steps[-2].outcome
+    assert answer.steps[-1].outcome == "no time was left"
 
 
 def test_the_check_proves_what_its_markings_leave_open(monkeypatch):
