@@ -23,7 +23,7 @@ def net_difference(plan: Plan, other: Plan) -> str:
         for name in one:
             if one[name] != two[name]:
                 return "the %s '%s' is %s there, and %s here" % (what, name, two[name], one[name])
-    arcs, others = set(plan.net.arcs), set(other.net.arcs)
+    arcs, others = ({arc.meaning for arc in p.net.arcs} for p in (plan, other))
     if arcs != others:
         arc = min(arcs ^ others, key=str)
         return "an arc differs: from '%s' to '%s'" % (arc[0], arc[1])

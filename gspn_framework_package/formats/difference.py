@@ -28,6 +28,8 @@ NODE_DEFAULTS: Mapping[str, Mapping[str, Any]] = {
 }
 
 _NET_LISTS = {"place": "places", "transition": "transitions", "arc": "arcs"}
+_NAMING = {"name", "from", "to"}
+_DRAWN = {"position", "bends"}
 
 
 class DocumentChange(NamedTuple):
@@ -67,7 +69,7 @@ class DocumentChange(NamedTuple):
         sign, value = ("+", self.new) if self.what == "added" else ("-", self.old)
         inside = value.get("choose") if self.kind == "row" else value
         if self.kind in _NET_LISTS and isinstance(value, Mapping):
-            inside = {k: v for k, v in value.items() if k not in ("name", "from", "to", "position")}
+            inside = {k: v for k, v in value.items() if k not in _NAMING | _DRAWN}
         return "%s %s%s" % (sign, what, ": " + _text(inside) if inside not in ({}, None) else "")
 
 
@@ -83,7 +85,7 @@ def document_difference(
 
     :param old: an edited document. It may be incomplete: malformed parts are compared as a whole.
     :param new: another edited document.
-    :param positions: whether a node that only moved in the drawing counts as changed.
+    :param positions: whether what only moved in the drawing counts as changed.
     """
     changes = [
         *_net(_object(old.get("net")), _object(new.get("net")), positions),
@@ -139,7 +141,7 @@ def _elements(
     kind: str, plural: str, old: Any, new: Any, positions: bool
 ) -> Iterator[DocumentChange]:
     before, after = _named(kind, old), _named(kind, new)
-    ignored = {"name", "from", "to"} if positions else {"name", "from", "to", "position"}
+    ignored = _NAMING if positions else _NAMING | _DRAWN
     defaults = NODE_DEFAULTS[kind]
 
     def values(was: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[_Pair]:

@@ -78,9 +78,9 @@ class _Node(NamedTuple):
     item: Union[Place, Transition]
 
 
-_ArcLine = Tuple[str, str, str, int, bool, Optional[int]]
-"""Id, source, target, weight, whether it is an inhibitor arc, and line of an arc. A plain tuple,
-because a file may have 200,000 arcs."""
+_ArcLine = Tuple[str, str, str, int, bool, Tuple[Point, ...], Optional[int]]
+"""Id, source, target, weight, whether it is an inhibitor arc, bends and line of an arc. A plain
+tuple, because a file may have 200,000 arcs."""
 
 
 class NetDraft:
@@ -173,13 +173,14 @@ class NetDraft:
         weight: int = 1,
         inhibitor: bool = False,
         line: Optional[int] = None,
+        bends: Tuple[Point, ...] = (),
     ) -> None:
         """Add an arc; its ends are ids or names of nodes, which may come later in the file."""
         source, target = one_line(source), one_line(target)
         if not source or not target:
             element = "arc '%s'" % shorten(identifier) if identifier else "arc"
             self.fail("it has no %s" % ("target" if source else "source"), element, line)
-        self._arcs.append((identifier or "", source, target, weight, inhibitor, line))
+        self._arcs.append((identifier or "", source, target, weight, inhibitor, bends, line))
 
     def _add(
         self, identifier: str, name: str, item: Union[Place, Transition], line: Optional[int]
@@ -273,9 +274,9 @@ class NetDraft:
             else:
                 transitions.append(item)
         arcs = []
-        for identifier, source, target, weight, inhibitor, line in self._arcs:
+        for identifier, source, target, weight, inhibitor, bends, line in self._arcs:
             try:
-                arcs.append(Arc(ends[source], ends[target], weight, inhibitor))
+                arcs.append(Arc(ends[source], ends[target], weight, inhibitor, bends))
             except KeyError as error:
                 self.fail(
                     "there is no place or transition '%s'" % error.args[0],
@@ -295,7 +296,7 @@ class NetDraft:
         """Return the net of a file if this is the draft of its sample; None if something in the
         file is unusual or wrong, so that it has to be read as a whole."""
         known = {identifier: node.item for identifier, node in self._nodes.items()}
-        kinds = {arc[0]: (arc[3], arc[4]) for arc in self._arcs}
+        kinds = {arc[0]: arc[3:6] for arc in self._arcs}
         sampled = (*sample.places.sampled, *sample.transitions.sampled)
         if (
             known.keys() != set(sampled)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, Tuple, Union
 
-from gspn_framework_package.model.net import Arc, Net, Place, Transition
+from gspn_framework_package.model.net import Net, Place, Transition
 
 Node = Union[Place, Transition]
 
@@ -23,7 +23,7 @@ def same_net(a: Net, b: Net) -> bool:
             other = named.get(node.name)
             if other is None or not same_node(node, other):
                 return False
-    return sorted(map(arc_key, a.arcs)) == sorted(map(arc_key, b.arcs))
+    return sorted(a.arcs) == sorted(b.arcs)
 
 
 def same_node(a: Node, b: Node) -> bool:
@@ -44,8 +44,3 @@ def meaning(node: Node) -> Tuple[Any, ...]:
     if node.timed:
         return (node.name, True, node.rate, node.servers)
     return (node.name, False, node.weight, node.priority)
-
-
-def arc_key(arc: Arc) -> Tuple[str, str, int, bool]:
-    """The content of an arc, in sortable form."""
-    return (arc.source, arc.target, arc.weight, arc.inhibitor)

@@ -44,7 +44,14 @@ def net_from_json(data: Dict[str, Any]) -> Net:
         for t in data["transitions"]
     ]
     arcs = [
-        Arc(a["from"], a["to"], a.get("weight", 1), a.get("inhibitor", False)) for a in data["arcs"]
+        Arc(
+            a["from"],
+            a["to"],
+            a.get("weight", 1),
+            a.get("inhibitor", False),
+            tuple((float(x), float(y)) for x, y in a.get("bends", ())),
+        )
+        for a in data["arcs"]
     ]
     return Net(places, transitions, arcs, data.get("name", ""))
 
@@ -115,4 +122,6 @@ def _arc(arc: Arc) -> Dict[str, Any]:
         data["weight"] = arc.weight
     if arc.inhibitor:
         data["inhibitor"] = True
+    if arc.bends:
+        data["bends"] = [list(bend) for bend in arc.bends]
     return data

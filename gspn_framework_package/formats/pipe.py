@@ -37,18 +37,24 @@ from gspn_framework_package.formats.xml_tree import (
     line_of,
     name_of,
     number_text,
+    points,
     position,
     serialise,
     tag,
+    write_graphics,
+    write_points,
     writing_names,
 )
 from gspn_framework_package.model.constants import resolve_constants
 from gspn_framework_package.model.errors import ExpressionError, NetError
 from gspn_framework_package.model.expression import shorten
-from gspn_framework_package.model.net import Net, Point
+from gspn_framework_package.model.net import Arc, Net, Point
 
 _NET_TYPE = "P/T net"
 _DEFAULT_CLASS = "Default"
+_HALF = 15.0
+"""Half the width of PIPE's symbols: a position is the corner of one, a bend where it is drawn."""
+
 _VALUE = known("", {"value": known(text=True)}, free="graphics toolspecific")
 _FREE = "name graphics toolspecific comment tagged "
 _PLACE = known("id", {"initialMarking": _VALUE, "capacity": _VALUE}, free=_FREE)
@@ -228,6 +234,7 @@ class _Reader:
             weight,
             kind == "inhibitor",
             line,
+            tuple((x - _HALF, y - _HALF) for x, y in points(all_of(element, "arcpath")[1:-1])),
         )
 
     def _tokens(self, text: Optional[str], default: int, what: str, name: str, line: int) -> int:
@@ -333,6 +340,7 @@ def to_bytes(net: Net) -> bytes:
             etree.SubElement(node, "graphics")
             _write_value(node, "inscription", "%s,%d" % (_DEFAULT_CLASS, arc.weight))
             _write_value(node, "tagged", "false")
+            _write_path(node, net, arc)
             etree.SubElement(node, "type", value="inhibitor" if arc.inhibitor else "normal")
     return serialise(root)
 
@@ -341,11 +349,23 @@ def _write_node(
     parent: etree._Element, kind: str, name: str, where: Optional[Point]
 ) -> etree._Element:
     node = etree.SubElement(parent, kind, id=name)
-    if where is not None:
-        graphics = etree.SubElement(node, "graphics")
-        etree.SubElement(graphics, "position", x=number_text(where[0]), y=number_text(where[1]))
+    write_graphics(node, [where])
     _write_value(node, "name", name)
     return node
+
+
+def _write_path(parent: etree._Element, net: Net, arc: Arc) -> None:
+    """Write the bends of an arc between its ends; PIPE itself puts those at the symbols' edges."""
+    places, transitions = net.place_index, net.transition_index
+    ends = [
+        (net.places[places[n]] if n in places else net.transitions[transitions[n]]).position
+        for n in (arc.source, arc.target)
+    ]
+    way = [ends[0] or arc.bends[0], *arc.bends, ends[1] or arc.bends[-1]] if arc.bends else []
+    write_points(parent, "arcpath", [(x + _HALF, y + _HALF) for x, y in way])
+    for number, point in enumerate(all_of(parent, "arcpath")):
+        point.set("id", "%03d" % number)
+        point.set("curvePoint", "false")
 
 
 def _write_value(parent: etree._Element, name: str, text: str) -> None:

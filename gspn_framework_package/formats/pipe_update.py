@@ -22,6 +22,8 @@ from gspn_framework_package.model.net import Arc, Place, Transition
 
 
 class _PipeNet(XmlNet):
+    BENDS = ("arcpath",)
+
     def __init__(self, given: Given) -> None:
         super().__init__(given)
         self._class = self._class_in_use()

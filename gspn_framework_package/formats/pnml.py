@@ -41,10 +41,12 @@ from gspn_framework_package.formats.xml_tree import (
     name_of,
     number_text,
     parse_xml,
+    points,
     position_in,
     serialise,
     tag,
     text_of,
+    write_graphics,
     writing_names,
 )
 from gspn_framework_package.model.expression import shorten
@@ -83,7 +85,6 @@ _PAGE = known("id", free=_FREE + "text finalmarkings")
 _NET = known("id type name", free=_FREE + "text finalmarkings")
 _ROOT = known("version", free="net name toolspecific comment finalmarkings")
 _OWN_KEYS = ("capacity", "servers", "parameter", "rate", "weight")
-
 
 Data = Dict[str, str]
 """Key -> value, as strings."""
@@ -416,7 +417,8 @@ class _Reader:
             self.draft.add_arc(said.get("id"), source, target, 1, False, line_of(element))
             return
         what, line = name_of(element, "arc"), line_of(element)
-        self._note_tools(self._check(element, self.arc_words, what), what)
+        parts = self._check(element, self.arc_words, what)
+        self._note_tools(parts, what)
         kind = arc_kind(element)
         if kind not in ("normal", "inhibitor") and not (kind == "test" and self.tina):
             self.draft.fail(
@@ -429,7 +431,8 @@ class _Reader:
         weight = self.draft.count(text, "weight", what, line) if text else 1
         identifier = element.get("id")
         source, target = self._resolve(element.get("source")), self._resolve(element.get("target"))
-        self.draft.add_arc(identifier, source, target, weight, kind == "inhibitor", line)
+        bends = points(all_of(parts["graphics"][0], "position")) if "graphics" in parts else ()
+        self.draft.add_arc(identifier, source, target, weight, kind == "inhibitor", line, bends)
         if kind == "test":  # arcs in both directions are equivalent
             self.draft.add_arc(identifier, target, source, weight, False, line)
 
@@ -570,6 +573,7 @@ def to_bytes(net: Net) -> bytes:
                 _write_text(node, "inscription", str(arc.weight))
             if arc.inhibitor:
                 etree.SubElement(node, "type", value="inhibitor")
+            write_graphics(node, arc.bends)
     return serialise(root, depth=3)
 
 
@@ -578,9 +582,7 @@ def _write_node(
 ) -> etree._Element:
     node = etree.SubElement(parent, kind, id=identifier)
     _write_text(node, "name", name)
-    if where is not None:
-        graphics = etree.SubElement(node, "graphics")
-        etree.SubElement(graphics, "position", x=number_text(where[0]), y=number_text(where[1]))
+    write_graphics(node, [where])
     return node
 
 

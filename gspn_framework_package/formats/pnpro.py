@@ -28,8 +28,10 @@ from gspn_framework_package.formats.xml_tree import (
     line_of,
     name_of,
     number_text,
+    points,
     serialise,
     tag,
+    write_points,
     writing_names,
 )
 from gspn_framework_package.model.capacity import capacities_as_inhibitors
@@ -348,7 +350,12 @@ class _Reader:
         if text.startswith("<"):
             self.draft.fail("a coloured net: its weight is '%s'" % shorten(text), what, line)
         weight = self._count(text, "weight", what, line) if text else 1
-        self.draft.add_arc(None, tail, head, weight, kind == "INHIBITOR", line)
+        # a place is two units wide, and its position is its corner
+        bends = tuple(
+            (round((x - 1) * _UNIT, 6), round((y - 1) * _UNIT, 6))
+            for x, y in points(all_of(element, "point"))
+        )
+        self.draft.add_arc(None, tail, head, weight, kind == "INHIBITOR", line, bends)
 
 
 def _what(element: etree._Element) -> str:
@@ -412,7 +419,7 @@ def to_bytes(net: Net) -> bytes:
             write_position(node, transition.position, node.get("type", ""))
         for arc in net.arcs:
             kind = "INPUT" if arc.source in net.place_index else "OUTPUT"
-            etree.SubElement(
+            edge = etree.SubElement(
                 edges,
                 "arc",
                 tail=arc.source,
@@ -420,6 +427,8 @@ def to_bytes(net: Net) -> bytes:
                 kind="INHIBITOR" if arc.inhibitor else kind,
                 mult=str(arc.weight),
             )
+            bends = [(round(x / _UNIT + 1, 9), round(y / _UNIT + 1, 9)) for x, y in arc.bends]
+            write_points(edge, "point", bends)
     return serialise(root, depth=4)
 
 

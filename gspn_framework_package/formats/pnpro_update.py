@@ -13,6 +13,8 @@ from gspn_framework_package.model.net import Arc, Place, Transition
 
 
 class _PnproNet(XmlNet):
+    BENDS = ("point",)
+
     def find_net(self) -> Any:
         nets = [self.root] if tag(self.root) == "gspn" else all_of(self.root, "gspn")
         return choose_net(nets, self.options.net, None)

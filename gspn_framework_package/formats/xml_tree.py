@@ -5,7 +5,18 @@ from __future__ import annotations
 import math
 from contextlib import contextmanager
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Dict, Iterator, List, Optional, Sequence, Tuple, cast
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Dict,
+    Iterable,
+    Iterator,
+    List,
+    Optional,
+    Sequence,
+    Tuple,
+    cast,
+)
 
 from gspn_framework_package.model.errors import InputError, NetError
 from gspn_framework_package.model.expression import shorten
@@ -167,6 +178,28 @@ def position_in(graphics: etree._Element) -> Optional[Point]:
     """Return the position in a ``graphics`` element, None if there is no valid one."""
     where = child(graphics, "position")
     return coordinates(where) if where is not None else None
+
+
+def points(elements: Iterable[etree._Element]) -> Tuple[Point, ...]:
+    """Return the positions that elements have in ``x`` and ``y``, without those that are none."""
+    return tuple(filter(None, map(coordinates, elements)))
+
+
+def write_points(parent: etree._Element, name: str, bends: Iterable[Point]) -> None:
+    """Write an element with ``x`` and ``y`` for each point."""
+    from lxml import etree
+
+    for x, y in bends:
+        etree.SubElement(parent, name, x=number_text(x), y=number_text(y))
+
+
+def write_graphics(parent: etree._Element, where: Iterable[Optional[Point]]) -> None:
+    """Write the points that there are as ``graphics/position``."""
+    from lxml import etree
+
+    found = [spot for spot in where if spot is not None]
+    if found:
+        write_points(etree.SubElement(parent, "graphics"), "position", found)
 
 
 def coordinates(element: etree._Element) -> Optional[Point]:

@@ -15,7 +15,7 @@ from lxml import etree
 
 from gspn_framework_package.formats.draft import ReadOptions, one_line
 from gspn_framework_package.formats.format import CannotHoldError, Updater
-from gspn_framework_package.formats.net_equality import Node, arc_key
+from gspn_framework_package.formats.net_equality import Node
 from gspn_framework_package.formats.xml_tree import (
     all_of,
     child,
@@ -211,16 +211,16 @@ class XmlNet:
         # no node has the name "": arcs of a removed node must not be taken for those of a node that
         # takes its name
         names = {c.old.name: c.new.name if c.new else "" for c in changes if c.old}
-        wanted: Dict[Tuple[str, str, int, bool], int] = {}
+        wanted: Dict[Arc, int] = {}
         for arc in self.new.arcs:
-            wanted[arc_key(arc)] = wanted.get(arc_key(arc), 0) + 1
+            wanted[arc] = wanted.get(arc, 0) + 1
         spare: List[Tuple[Arc, Any]] = []
         for arc, element in self.arcs:
             now = arc._replace(
                 source=names.get(arc.source, arc.source), target=names.get(arc.target, arc.target)
             )
-            if wanted.get(arc_key(now)):
-                wanted[arc_key(now)] -= 1
+            if wanted.get(now):
+                wanted[now] -= 1
             else:
                 spare.append((now, element))
         added = [arc for arc in self.new.arcs if self._take(wanted, arc)]
@@ -228,11 +228,13 @@ class XmlNet:
         for was, element in spare:
             by_ends.setdefault(was[:2], []).append((was, element))
         fresh = []
-        for arc in added:  # another weight or kind: the same arc, changed
+        for arc in added:  # another weight, kind or way: the same arc, changed
             there = by_ends.get(arc[:2])
             if there:
                 was, element = there.pop(0)
                 self.set_arc(self._alone(element), was, arc)
+                if was.bends != arc.bends:
+                    self._bend(element, arc)
             else:
                 fresh.append(arc)
         for left in by_ends.values():
@@ -272,12 +274,25 @@ class XmlNet:
                 self.rename(element, name, name)
 
     @staticmethod
-    def _take(wanted: Dict[Tuple[str, str, int, bool], int], arc: Arc) -> bool:
-        left = wanted[arc_key(arc)]
-        wanted[arc_key(arc)] = left - 1
+    def _take(wanted: Dict[Arc, int], arc: Arc) -> bool:
+        left = wanted[arc]
+        wanted[arc] = left - 1
         return left > 0
 
+    def _bend(self, element: Any, new: Arc) -> None:
+        """Draw an arc with the bends of a new one."""
+        given = self.given("arc", self.numbers[new])
+        for outer in self.BENDS[:-1]:
+            element, given = inner_element(element, outer), inner_element(given, outer)
+        for old in all_of(element, self.BENDS[-1]):
+            remove_element(old)
+        for bend in all_of(given, self.BENDS[-1]):
+            append_element(element, bend)
+
     # -- differences between formats ---------------------------------------------------------
+
+    BENDS: Tuple[str, ...] = ("graphics", "position")
+    """The path of elements, inside that of an arc, to those of its bends."""
 
     def set_node(self, element: Any, old: Node, new: Node) -> None:
         """Change all differences except the name."""

@@ -82,10 +82,7 @@ def expand_place(
     ]
     occupied = [inner_names[p.name] for p in subnet.places if p.name not in resources]
     arcs = _joined(net, place, inner_names[entry], inner_names[exit], occupied)
-    arcs += [
-        arc._replace(source=inner_names[arc.source], target=inner_names[arc.target])
-        for arc in subnet.arcs
-    ]
+    arcs += [_inner_arc(arc, inner_names, shift) for arc in subnet.arcs]
     return Net(places, transitions, arcs, net.name)
 
 
@@ -103,6 +100,12 @@ def _inner_places(
             tokens, position = tokens + replaced.tokens, replaced.position
         places.append(inner._replace(name=names[inner.name], tokens=tokens, position=position))
     return places
+
+
+def _inner_arc(arc: Arc, names: Mapping[str, str], shift: Optional[Point]) -> Arc:
+    """An arc of a subnet as the net has it."""
+    bends = filter(None, (_moved(bend, shift) for bend in arc.bends))
+    return arc._replace(source=names[arc.source], target=names[arc.target], bends=tuple(bends))
 
 
 def _joined(net: Net, place: str, entry: str, exit: str, occupied: List[str]) -> List[Arc]:

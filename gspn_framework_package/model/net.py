@@ -108,12 +108,19 @@ _Node = TypeVar("_Node", Place, Transition)
 
 class Arc(NamedTuple):
     """An arc from a place to a transition or vice versa, by name; an ``inhibitor`` arc goes from a
-    place to a transition and disables it while the place holds ``weight`` or more tokens."""
+    place to a transition and disables it while the place holds ``weight`` or more tokens.
+    ``bends`` are the points of the drawing that it passes on its way."""
 
     source: str
     target: str
     weight: int = 1
     inhibitor: bool = False
+    bends: Tuple[Point, ...] = ()
+
+    @property
+    def meaning(self) -> Tuple[str, str, int, bool]:
+        """The arc without its drawing."""
+        return self[:4]
 
 
 class Net:
@@ -208,7 +215,7 @@ class Net:
         numbers = dict(self.place_index)
         numbers.update((name, ~t) for name, t in self.transition_index.items())
         for arc in self.arcs:
-            source, target, weight, inhibitor = arc
+            source, target, weight, inhibitor, _ = arc
             if type(weight) is not int or not 0 < weight <= MAX_COUNT:
                 _check_weight(arc)
             try:

@@ -415,7 +415,7 @@ class Plan:
                 ]
                 for t in self.net.transitions
             ],
-            "arcs": [list(a) for a in self.net.arcs],
+            "arcs": [list(a.meaning) for a in self.net.arcs],
             "policy": [
                 list(self.policy.places),
                 self.policy.rows,  # named tuples become lists

@@ -77,7 +77,7 @@ def net_hash(net: Net) -> str:
     essence: List[object] = [
         [[p.name, p.position] for p in net.places],
         [[t.name, t.timed, t.position] for t in net.transitions],
-        [list(a) for a in net.arcs],
+        [list(a.meaning) for a in net.arcs],
     ]
     return hashlib.sha256(json.dumps(essence).encode()).hexdigest()[:24]
 

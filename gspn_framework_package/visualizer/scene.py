@@ -3,6 +3,7 @@ attributes from the plan."""
 
 from __future__ import annotations
 
+import math
 from typing import Any, Dict, List, Optional, Sequence
 
 from gspn_framework_package.execution.breakpoints import why_no_breakpoint
@@ -61,7 +62,24 @@ def layout_to_json(net: Net, layout: Layout) -> Dict[str, Any]:
         "engine": layout.engine,
         "places": [_rounded(layout.positions[p.name]) for p in net.places],
         "transitions": [_rounded(layout.positions[t.name]) for t in net.transitions],
+        "bends": _bends(net, layout) if layout.engine == "file" else {},
     }
+
+
+def _bends(net: Net, layout: Layout) -> Dict[int, List[List[float]]]:
+    """Number of an arc -> its bends, from the middle between its ends: they move with these."""
+    found = {}
+    nodes = {place.name: place.position for place in net.places}
+    nodes.update((t.name, t.position) for t in net.transitions)
+    for number, arc in enumerate(net.arcs):
+        here = nodes[arc.source], nodes[arc.target]
+        if not arc.bends or here[0] is None or here[1] is None:
+            continue
+        apart = math.dist(here[0], here[1])
+        scale = math.dist(*(layout.positions[n] for n in arc[:2])) / apart if apart else 1.0
+        x, y = ((a + b) / 2 for a, b in zip(here[0], here[1]))
+        found[number] = [_rounded((scale * (bx - x), scale * (by - y))) for bx, by in arc.bends]
+    return found
 
 
 def _rounded(point: Sequence[float]) -> List[float]:

@@ -182,6 +182,64 @@ def _inside(page, name):
     return {"x": x - box["x"], "y": y - box["y"]}
 
 
+BENT = {
+    "plan": "bent",
+    "net": {
+        "places": [
+            {"name": "A", "tokens": 1, "position": [0, 0]},
+            {"name": "B", "position": [0, -68]},  # so near that it is shown as large as it is
+        ],
+        "transitions": [{"name": "t", "timed": True, "position": [300, 0]}],
+        "arcs": [{"from": "A", "to": "t"}, {"from": "t", "to": "A"}],
+    },
+    "actions": {"A": None, "B": None},
+    "robots": [{"name": "r", "place": "A"}],
+}
+COURSE = "(arcs) => arcs.map(({ line }) => line.getAttribute?.('d') ?? line)"
+BENDS = "() => window.gspn.edit.document.net.arcs.map((arc) => arc.bends ?? [])"
+
+
+def test_arcs_are_bent_by_hand(edit, tmp_path):
+    page = edit({"bent": BENT}, "bent")
+    x, y, k = where(page, "A")
+    at = lambda dx, dy: (x + dx * k, y + dy * k)  # noqa: E731
+    bends = lambda: page.evaluate(BENDS)  # noqa: E731
+    # dragged, and the bend dragged on; a second one between it and the end
+    drag(page, at(150, 10), at(100, 120))
+    assert bends() == [[[100, 120]], []] or bends() == [[], [[100, 120]]]
+    bent = bends().index([[100, 120]])
+    drag(page, at(100, 120), at(60, 150))
+    drag(page, at(180, 75), at(240, 150))
+    assert bends()[bent] == [[60, 150], [240, 150]]
+    page.keyboard.press("Escape")
+    page.mouse.dblclick(*at(60, 150))
+    assert bends()[bent] == [[240, 150]]
+    # by keys: the next bend, or another one; both ends move, and the bends with them
+    key(page, "b", "ArrowDown", "Shift+ArrowRight")
+    assert bends()[bent] == [[290, 160]]
+    key(page, "b")
+    assert len(bends()[bent]) == 2
+    key(page, "Shift+B", "Control+z", "Control+z", "Control+z")
+    assert bends()[bent] == [[240, 150]]
+    key(page, "Control+a", "ArrowDown", "Escape")
+    assert bends()[bent] == [[240, 160]]
+    # as it is drawn, so it is saved, and shown where tokens run along it
+    drawn = page.evaluate("(c) => eval(c)(window.gspn.edit.canvas.arcs.all)", COURSE)
+    key(page, "Control+s")
+    page.wait_for_function("() => !window.gspn.edit.document.dirty")
+    saved = json.loads((tmp_path / "plans" / "bent" / "plan.json").read_text())
+    assert [arc.get("bends", []) for arc in saved["net"]["arcs"]] == bends()
+    page.click("#ed-close")
+    page.wait_for_selector("body[data-mode=SIMULATE][data-ready]")
+    assert page.evaluate("(c) => eval(c)(window.gspn.page.view.arcs.all)", COURSE) == drawn
+    legs = page.evaluate(
+        """() => { const { travel, places, transitions } = window.gspn.page.view;
+        return [[places[0], transitions[0]], [transitions[0], places[0]]]
+          .map((ends) => travel.leg(...ends, 0, 1).map(({ transform }) => transform)); }"""
+    )
+    assert len(legs[bent]) > 4 and len(legs[1 - bent]) >= 4
+
+
 def test_a_net_is_drawn_by_keys_alone(edit, axe):
     page = edit({"one": ONE}, "one")
     page.focus("#ed-list")

@@ -169,11 +169,12 @@ def _same_document(old: JsonObject, new: JsonObject) -> bool:
 
 def settled_net(opened: Opened, net: JsonObject) -> JsonObject:
     """The net with the positions to save: those that the page generated are left out unless a node
-    was moved."""
+    was moved, or an arc bent."""
     shown, file = _positions(opened.document["net"]), _positions(opened.parts.net)
     now = _positions(net)
     unmoved = {name for name, where in now.items() if same(where, shown.get(name))}
-    if opened.laid_out and len(unmoved) < len(now):
+    bent = not same(*(_bends(n) for n in (opened.parts.net, net)))
+    if opened.laid_out and (bent or len(unmoved) < len(now)):
         return net
 
     def settled(node: JsonObject) -> JsonObject:
@@ -186,6 +187,10 @@ def settled_net(opened: Opened, net: JsonObject) -> JsonObject:
         return kept
 
     return with_nodes(net, settled)
+
+
+def _bends(net: JsonObject) -> List[JsonObject]:
+    return [arc["bends"] for arc in net["arcs"] if arc.get("bends")]
 
 
 def _positions(net: JsonObject) -> Dict[str, Optional[List[float]]]:

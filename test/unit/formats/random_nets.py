@@ -9,10 +9,9 @@ AWKWARD = "ab1_ .:<>&\"'{}\\#[]()äλ∞|-*?/\t"
 NAMES = (
     st.text(AWKWARD, min_size=1, max_size=8).map(lambda text: " ".join(text.split())).filter(bool)
 )
-POSITIONS = st.one_of(
-    st.none(),
-    st.tuples(*[st.integers(-(10**6), 10**6).map(lambda n: n / 64)] * 2),
-)
+POINTS = st.tuples(*[st.integers(-(10**6), 10**6).map(lambda n: n / 64)] * 2)
+POSITIONS = st.one_of(st.none(), POINTS)
+BENDS = st.lists(POINTS, max_size=2).map(tuple)
 RATES = st.floats(min_value=1e-300, max_value=1e300, allow_nan=False)
 WEIGHTS = st.one_of(st.just(0.0), RATES)
 COUNTS = st.one_of(st.integers(0, 5), st.integers(0, 2**53))
@@ -62,9 +61,7 @@ def nets(draw, capacities=True, servers=(1, None, 3), dependent=False):
         transition = draw(st.sampled_from(transitions)).name
         weight = draw(st.integers(1, 4))
         kind = draw(st.sampled_from(["input", "output", "inhibitor"]))
-        if kind == "output":
-            arcs.append(Arc(transition, place, weight))
-        else:
-            arcs.append(Arc(place, transition, weight, kind == "inhibitor"))
+        ends = (transition, place) if kind == "output" else (place, transition)
+        arcs.append(Arc(*ends, weight, kind == "inhibitor", draw(BENDS)))
     name = draw(st.one_of(st.just("net"), NAMES))
     return Net(places, transitions, arcs, name)

@@ -74,6 +74,7 @@ def test_one_edit_changes_one_line(path, tmp_path):
         {"places": [net.places[0]._replace(tokens=net.places[0].tokens + 1), *net.places[1:]]},
         {"places": [net.places[0]._replace(position=(1.5, 2.5)), *net.places[1:]]},
         {"arcs": net.arcs[:-1]},
+        {"arcs": [net.arcs[0]._replace(bends=((1.5, 2.5), (3.0, -4.0))), *net.arcs[1:]]},
     ):
         new = changed(net, **change)
         text = update_net(data, path, OPTIONS, new)
@@ -206,7 +207,7 @@ def plain(net):
     return Net(
         [place._replace(position=None) for place in net.places],
         [t._replace(rate=1.0, weight=1.0, priority=1, position=None) for t in net.transitions],
-        net.arcs,
+        [arc._replace(bends=()) for arc in net.arcs],
         net.name,
     )
 

@@ -7,6 +7,7 @@ import pytest
 from gspn_framework_package.formats import read_net, read_net_with_notes, write_net
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import InputError
+from gspn_framework_package.model.net import Arc, Net
 
 DATA = Path(__file__).parent / "data"
 PROJECT = DATA / "greatspn.PNPRO"
@@ -23,7 +24,10 @@ def read_nodes(tmp_path, nodes, edges=""):
 
 def test_expressions_defaults_and_positions():
     net, notes = read_net_with_notes(PROJECT, net="machine")
-    assert net == (
+    bent = [arc.bends for arc in net.arcs if arc.bends]
+    assert bent == [((72.0, 64.0),)]  # a unit to the right of, and below, the corner of a place
+    straight = Net(net.places, net.transitions, [a._replace(bends=()) for a in net.arcs], net.name)
+    assert straight == (
         NetBuilder("machine")
         .place("waiting", tokens=5, position=(64, 64))
         .place("working", position=(192, 64))
@@ -59,7 +63,7 @@ def test_constants_from_outside_replace_those_of_the_file():
 
 
 def test_the_older_names_of_attributes():
-    assert read_net(PROJECT, net="old").arcs == (("A", "t", 1, False), ("t", "A", 1, False))
+    assert read_net(PROJECT, net="old").arcs == (Arc("A", "t"), Arc("t", "A"))
 
 
 def test_import_options():

@@ -156,6 +156,11 @@ def test_positions_that_the_page_made_up_are_not_saved(tmp_path):
     text = (tmp_path / "plan.json").read_text()
     assert "position" not in text and '"weight": 1.0' in text and '"tokens": 2' in text
     opened = editor.open("plan.json")
+    opened["document"]["net"]["arcs"][0]["bends"] = [[1, 2.5]]
+    assert editor.save("plan.json", opened).status_code == 200  # where it is drawn is kept, too
+    assert (tmp_path / "plan.json").read_text().count("position") == 3
+    (tmp_path / "plan.json").write_text(text)
+    opened = editor.open("plan.json")
     opened["document"]["net"]["places"][0]["position"] = [7, 7.5]
     assert editor.save("plan.json", opened).status_code == 200
     assert (tmp_path / "plan.json").read_text().count("position") == 3

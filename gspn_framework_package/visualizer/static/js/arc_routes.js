@@ -1,7 +1,8 @@
-// The courses of arcs, the same in all modes and in pictures: an arc is straight, or bends around the nodes that it
-// would run through. Courses depend on where the nodes are, and on nothing that happened before.
+// The courses of arcs, the same in all modes and in pictures: an arc runs through the bends that a person drew, or else
+// is straight, or bends around the nodes that it would run through. Courses depend on where the nodes are, and on
+// nothing that happened before.
 
-import { RADIUS, BAR, arcShape, asideAt } from "./geometry.js";
+import { RADIUS, BAR, arcShape, asideAt, bentShape } from "./geometry.js";
 
 const APART = 10; // px by which the bends of two arcs between the same nodes are apart
 const MOST = 180; // px that an arc may bend aside
@@ -50,6 +51,10 @@ function isBeside(spot, way) {
   return Math.abs(aside) <= way.reach && along >= -way.reach && along <= way.length + way.reach;
 }
 
+/** Where the bends of an arc are (px). */
+export const bendsOf = ({ from, to, bends }) =>
+  (bends || NOTHING).map(([x, y]) => [x + (from.x + to.x) / 2, y + (from.y + to.y) / 2]);
+
 /** Through how many nodes an arc runs if it bends like that, up to `most`. */
 function through({ from, to }, bends, length, near, most) {
   const [dx, dy] = [to.x - from.x, to.y - from.y];
@@ -76,8 +81,9 @@ export class ArcRoutes {
     this.cells = new Map(); // cell -> the nodes in it
   }
 
-  /** Give arcs ({from, to, both, stale}) their `shape` for the nodes that are drawn now. `both`: there is an arc the
-   * other way, too; `stale`: it is to be routed in any case. Returns the arcs that were routed. */
+  /** Give arcs ({from, to, bends, both, stale}) their `shape` for the nodes that are drawn now. `bends`: those that
+   * were drawn, from the middle between the ends, so that they move with these (px); `both`: there is an arc the other
+   * way, too; `stale`: it is to be routed in any case. Returns the arcs that were routed. */
   route(nodes, arcs) {
     const moved = this.see(nodes);
     const near = ({ way }) => moved.some((spot) => isBeside(spot, way));
@@ -115,6 +121,12 @@ export class ArcRoutes {
   shape(arc) {
     const { from, to } = arc;
     const length = Math.hypot(to.x - from.x, to.y - from.y) || 1;
+    if (arc.bends) {
+      arc.shape = bentShape(from, to, bendsOf(arc));
+      arc.stale = false;
+      arc.way = wayOf(arc, length, REACH);
+      return;
+    }
     const own = arc.both ? APART : 0;
     let best = [own, own];
     let tried = own;

@@ -15,10 +15,79 @@ function reach(node, dx, dy) {
   );
 }
 
+const CORNER = 14; // px of an arc before and after a bend that are round
+
 const r = (value) => Math.round(value * 10) / 10;
 
 /** How far aside (px) an arc with two bends is at the part `t` of its way. */
 export const asideAt = ([first, second], t) => 3 * t * (1 - t) * ((1 - t) * first + t * second);
+
+/** Where an arc that comes from the point [x, y] ends, `gap` px from the edge of a symbol: {at, way}, way is the unit
+ * vector to there from the centre. */
+function edge(node, [x, y], gap) {
+  const [ex, ey] = [x - node.x, y - node.y];
+  const far = Math.hypot(ex, ey) || 1;
+  const way = [ex / far, ey / far];
+  const out = reach(node, ex, ey) + gap;
+  return { way, at: [node.x + way[0] * out, node.y + way[1] * out] };
+}
+
+/** The line of an arc through `bends` (px), with round corners; otherwise as below, with `corners` [[before, bend,
+ * after], ...] instead of controls. */
+export function bentShape(from, to, bends) {
+  const [begin, end] = [edge(from, bends[0], 0), edge(to, bends.at(-1), 1)];
+  const stops = [begin.at, ...bends, end.at];
+  const toward = ([ax, ay], [bx, by]) => {
+    const length = Math.hypot(bx - ax, by - ay) || 1;
+    const part = Math.min(CORNER, length / 2) / length;
+    return [ax + (bx - ax) * part, ay + (by - ay) * part];
+  };
+  const corners = bends.map((bend, i) => [
+    toward(bend, stops[i]),
+    bend,
+    toward(bend, stops[i + 2]),
+  ]);
+  const round = ([[ax, ay], [bx, by], [cx, cy]]) => [
+    (ax + 2 * bx + cx) / 4,
+    (ay + 2 * by + cy) / 4,
+  ];
+  const points = [begin.at, ...corners.flatMap((c) => [c[0], round(c), c[2]]), end.at];
+  return {
+    start: begin.at,
+    corners,
+    tip: end.at,
+    direction: end.way.map((value) => -value),
+    middle: halfway(points),
+    points,
+  };
+}
+
+/** Distance of a point from a line between two points. */
+export function distance([px, py], [ax, ay], [bx, by]) {
+  const [dx, dy] = [bx - ax, by - ay];
+  const t = Math.max(0, Math.min(1, ((px - ax) * dx + (py - ay) * dy) / (dx * dx + dy * dy || 1)));
+  return Math.hypot(px - ax - t * dx, py - ay - t * dy);
+}
+
+/** The lengths of a line up to each of its points. */
+export function lengths(points) {
+  let sum = 0;
+  return points.map(([x, y], i) => {
+    if (i) sum += Math.hypot(x - points[i - 1][0], y - points[i - 1][1]);
+    return sum;
+  });
+}
+
+function halfway(points) {
+  const far = lengths(points);
+  const half = far.at(-1) / 2;
+  const i = Math.max(
+    1,
+    far.findIndex((length) => length >= half),
+  );
+  const part = (half - far[i - 1]) / (far[i] - far[i - 1] || 1);
+  return [0, 1].map((axis) => points[i - 1][axis] + part * (points[i][axis] - points[i - 1][axis]));
+}
 
 /** The curve of an arc from edge to edge. `bends`: how far its control points, at a third and at two thirds of its way,
  * are aside of the straight line (px). Returns {start, controls, tip, direction, middle, points}: direction is the unit
@@ -31,13 +100,6 @@ export function arcShape(from, to, bends) {
     from.y + part * dy + (aside * dx) / length,
   ];
   const [first, second] = bends.map((bend, i) => beside((i + 1) / 3, bend));
-  const edge = (node, [x, y], gap) => {
-    const [ex, ey] = [x - node.x, y - node.y];
-    const far = Math.hypot(ex, ey) || 1;
-    const way = [ex / far, ey / far];
-    const out = reach(node, ex, ey) + gap;
-    return { way, at: [node.x + way[0] * out, node.y + way[1] * out] };
-  };
   const [begin, end] = [edge(from, first, 0), edge(to, second, 1)];
   const straight = bends.every((bend) => !bend);
   const steps = straight ? 0 : 3 + Math.ceil(Math.max(...bends.map(Math.abs)) / 12);
@@ -59,9 +121,13 @@ export function arcLine(shape, inhibitor) {
   const [x, y] = shape.tip,
     [ux, uy] = shape.direction;
   const gap = inhibitor ? 7 : HEAD - 1;
-  const points = [shape.start, ...shape.controls, [x - ux * gap, y - uy * gap]];
-  const [from, ...rest] = points.map((point) => point.map(r).join(" "));
-  return `M${from}${rest.length > 1 ? "C" : "L"}${rest.join(" ")}`;
+  const end = [x - ux * gap, y - uy * gap];
+  const text = (...points) => points.flatMap((point) => point.map(r)).join(" ");
+  if (shape.corners) {
+    const turns = shape.corners.map(([before, ...turn]) => `L${text(before)}Q${text(...turn)}`);
+    return `M${text(shape.start)}${turns.join("")}L${text(end)}`;
+  }
+  return `M${text(shape.start)}${shape.controls.length ? "C" : "L"}${text(...shape.controls, end)}`;
 }
 
 /** SVG path text of the end of an arc, an arrowhead or a small circle, `size` times as large as usual. */

@@ -37,14 +37,24 @@ export class Arcs {
       from: forth ? places[p] : transitions[t],
       to: forth ? transitions[t] : places[p],
       both: seen.has(`${p},${t},${1 - forth}`),
-      stale: true,
     }));
+    this.bend(scene.layout.bends);
+  }
+
+  /** Use the bends that belong to a layout: number of an arc -> bends. */
+  bend(bends) {
+    this.all.forEach((arc, i) => Object.assign(arc, { drawn: bends[i], stale: true }));
   }
 
   /** Draw the arcs between the nodes as they are now. */
   route(nodes) {
-    for (const arc of this.all)
-      arc.hidden = Boolean(arc.from.folded) && arc.from.folded === arc.to.folded;
+    for (const arc of this.all) {
+      const { from, to, drawn } = arc;
+      arc.hidden = Boolean(from.folded) && from.folded === to.folded;
+      const away = [from, to].some((node) => node.folded && node.folded !== node);
+      const bends = away ? undefined : drawn;
+      if (arc.bends !== bends) Object.assign(arc, { bends, stale: true });
+    }
     const drawn = nodes.filter((node) => !node.folded || node.folded === node);
     for (const arc of this.routes.route(drawn, this.all))
       arc.line = arcLine(arc.shape, arc.inhibitor);

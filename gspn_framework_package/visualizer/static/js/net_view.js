@@ -303,6 +303,7 @@ export class NetView extends EventTarget {
   relayout(layout) {
     this.kept.forget();
     this.put(layout);
+    this.arcs.bend(layout.bends);
     this.redraw();
     this.camera.fit();
     this.labels.later();

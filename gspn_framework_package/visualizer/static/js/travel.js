@@ -3,6 +3,7 @@
 
 import { s } from "./dom.js";
 import { colourOf } from "./colours.js";
+import { lengths } from "./geometry.js";
 
 const IN_FLIGHT = 30;
 const MILLISECONDS = 420;
@@ -16,9 +17,14 @@ export class Travel {
     const { scene } = view;
     this.inputs = scene.transitions.map(() => []);
     this.outputs = scene.transitions.map(() => []);
-    for (const [p, t, forth, weight, inhibitor] of scene.arcs) {
-      if (!inhibitor) (forth ? this.inputs : this.outputs)[t].push([p, weight]);
-    }
+    this.arcs = new Map(); // node -> node at the other end -> arc
+    scene.arcs.forEach(([p, t, forth, weight, inhibitor], i) => {
+      if (inhibitor) return;
+      (forth ? this.inputs : this.outputs)[t].push([p, weight]);
+      const arc = view.arcs.all[i];
+      if (!this.arcs.has(arc.from)) this.arcs.set(arc.from, new Map());
+      this.arcs.get(arc.from).set(arc.to, arc);
+    });
   }
 
   /** The tokens that a firing moves, [from, to, robot]; from or to may be null. */
@@ -66,23 +72,35 @@ export class Travel {
     }
   }
 
+  /** The way between two nodes, along their arc if there is one, as keyframes from the part `begin` to `end` of a
+   * motion. */
+  leg(from, to, begin, end) {
+    const points = this.arcs.get(from)?.get(to)?.shape.points || [];
+    const way = [[from.x, from.y], ...points, [to.x, to.y]];
+    const far = lengths(way);
+    return way.map(([x, y], i) => ({
+      transform: `translate(${x}px, ${y}px)`,
+      offset: begin + ((end - begin) * far[i]) / (far.at(-1) || 1),
+    }));
+  }
+
   /** Start the tokens of the firings since the last frame. */
   begin() {
     if (!this.waiting.length) return;
     const { view } = this;
     for (const flight of this.waiting) {
       const { from, to, robot, node } = flight;
-      const points = [
-        from !== null ? view.places[from] : null,
-        node,
-        to !== null ? view.places[to] : null,
-      ].filter(Boolean);
+      const [source, target] = [from, to].map((p) => (p === null ? null : view.places[p]));
+      const half = source && target ? 0.5 : 1; // the part of the motion that is one arc
       const dot = s("circle", { r: robot ? 8 : 5 });
       if (robot) dot.style.fill = colourOf(robot);
       view.layer.travel.append(dot);
-      const frames = points.map(({ x, y }) => ({ transform: `translate(${x}px, ${y}px)` }));
-      const motion = dot.animate(frames.length > 1 ? frames : [frames[0], frames[0]], {
-        duration: points.length === 3 ? MILLISECONDS : MILLISECONDS / 2,
+      const frames = [
+        ...(source ? this.leg(source, node, 0, half) : []),
+        ...(target ? this.leg(node, target, 1 - half, 1) : []),
+      ];
+      const motion = dot.animate(frames, {
+        duration: half < 1 ? MILLISECONDS : MILLISECONDS / 2,
         easing: "ease-in-out",
         fill: "both",
       });

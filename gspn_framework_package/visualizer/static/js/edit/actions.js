@@ -2,6 +2,7 @@
 
 import { attempt, plural } from "../dom.js";
 import { post } from "../api.js";
+import { bendsOf } from "../arc_routes.js";
 import { GRID, arranged } from "./arrange.js";
 import { copied, fitted, parsed } from "./clipboard.js";
 import { renamed, without, problemOfName } from "./rename.js";
@@ -17,6 +18,7 @@ import {
   nodeKey,
   otherKind,
   problemOfArc,
+  unbent,
 } from "./net_edits.js";
 
 const FIRST = { place: "P1", timed: "T1", immediate: "t1" };
@@ -252,7 +254,7 @@ export class Actions {
 
   nudge(dx, dy) {
     const nodes = this.chosenNodes();
-    if (!nodes.length) return false;
+    if (!nodes.length) return this.nudgeBend(dx * GRID, dy * GRID);
     const keys = nodes.map(({ key }) => key);
     this.move(
       `Move ${this.listed(keys)}`,
@@ -276,11 +278,73 @@ export class Actions {
     const { state } = mode.document;
     const layout = await attempt(() => post("edit/layout", { document: state }, { id: mode.id }));
     if (!layout || mode.closed) return;
-    this.move(
-      "Lay the net out",
-      new Map(Object.entries({ ...layout.places, ...layout.transitions })),
-    );
+    const points = Object.entries({ ...layout.places, ...layout.transitions });
+    const positions = new Map(points.map(([name, at]) => [name, mode.canvas.toDocument(...at)]));
+    this.edit("Lay the net out", ({ net }) => ({ net: this.placed(unbent(net), positions) }));
     mode.canvas.camera.fit();
+  }
+
+  // -- bending arcs --------------------------------------------------------------------------------
+
+  /** Let an arc run through points of the drawing; without any, it finds its own way. */
+  bend(arc, points, merge = null) {
+    const { canvas } = this.mode;
+    const bends = points.map(([x, y]) => canvas.toDocument(x, y));
+    this.edit(
+      `${bends.length ? "Bend" : "Straighten"} ${this.listed([arc.key])}`,
+      ({ net }) => ({
+        net: changeArcs(net, [arc.key], (data) =>
+          data === arc.data ? changed(data, { bends: bends.length ? bends : undefined }) : data,
+        ),
+      }),
+      merge,
+    );
+  }
+
+  /** By key: choose the next bend of the selected arc, or after the last one make another, halfway along the arc. */
+  nextBend() {
+    const { canvas } = this.mode;
+    const { arc } = canvas;
+    if (!arc) {
+      this.mode.say("Select an arc to bend it.");
+      return;
+    }
+    const bends = bendsOf(arc);
+    const chosen = canvas.bendChosen(arc);
+    const next = chosen === null ? 0 : chosen + 1;
+    if (next < bends.length) {
+      this.mode.say(`Bend ${next + 1} of ${bends.length}: arrows move it`);
+      canvas.chooseBend(arc, next);
+    } else {
+      const { middle } = arc.shape;
+      const at = canvas.segmentAt(arc, middle);
+      bends.splice(at, 0, middle);
+      this.bend(arc, bends);
+      canvas.chooseBend(arc, at);
+    }
+  }
+
+  /** Remove a bend; without arguments, the one that keys move. */
+  removeBend(arc = this.mode.canvas.arc, bend = arc ? this.mode.canvas.bendChosen(arc) : null) {
+    if (bend === null) {
+      this.mode.say("B chooses a bend of the selected arc.");
+      return;
+    }
+    const left = bendsOf(arc).filter((_, i) => i !== bend);
+    this.bend(arc, left);
+    this.mode.canvas.bent = null;
+  }
+
+  /** Move the chosen bend of the selected arc. Returns whether there is one. */
+  nudgeBend(dx, dy) {
+    const { canvas } = this.mode;
+    const { arc } = canvas;
+    const chosen = arc ? canvas.bendChosen(arc) : null;
+    if (chosen === null) return false;
+    const bends = bendsOf(arc);
+    bends[chosen] = [bends[chosen][0] + dx, bends[chosen][1] + dy];
+    this.bend(arc, bends, `bend:${arc.key}:${chosen}`);
+    return true;
   }
 
   // -- selecting, copying --------------------------------------------------------------------------

@@ -2,8 +2,8 @@
 // elements of changed objects are redrawn: an edit costs the same in a large net as in a small one.
 
 import { s } from "../dom.js";
-import { ArcRoutes } from "../arc_routes.js";
-import { arcLine, arcEnd, boundsOf } from "../geometry.js";
+import { ArcRoutes, bendsOf } from "../arc_routes.js";
+import { arcLine, arcEnd, boundsOf, distance } from "../geometry.js";
 import { Camera } from "../net_camera.js";
 import { Labels } from "../labels.js";
 import { buildPlace, buildTransition, drawPlace, follow, put, settle } from "../net_nodes.js";
@@ -35,6 +35,7 @@ export class Canvas extends EventTarget {
     this.own = new Map(); // positions of nodes that have none in the document
     this.shown = null; // the state that is drawn
     this.loose = false; // whether an arc lacks a node
+    this.bent = null; // the bend that keys move: {key of the arc, index}
     this.counts = null; // tokens shown instead of the document's
     const sheet = (name, ...content) =>
       s("svg", { class: name, "aria-hidden": "true" }, ...content);
@@ -246,6 +247,43 @@ export class Canvas extends EventTarget {
   /** Draw a node at its position in the document. */
   place(node) {
     this.moveTo(node, ...this.positionOf(node.data));
+    for (const arc of node.arcs) this.bend(arc);
+  }
+
+  /** Draw an arc with its bends in the document, or with others (px of the drawing). */
+  bend(arc, bends = arc.data.bends?.map((bend) => bend.map((value) => value * this.scale))) {
+    if (!bends && !arc.bends) return;
+    const ends = [arc.from, arc.to].map(({ data }) => this.positionOf(data));
+    const [x, y] = [0, 1].map((axis) => (ends[0][axis] + ends[1][axis]) / 2);
+    arc.bends = bends?.length ? bends.map(([bx, by]) => [bx - x, by - y]) : undefined;
+    arc.stale = true;
+    this.moved = true;
+    this.request();
+  }
+
+  /** The only selected arc, or undefined. */
+  get arc() {
+    const [key, more] = this.chosen;
+    return more ? undefined : this.arcsByKey.get(key)?.[0];
+  }
+
+  /** The bend of an arc that keys move, by its number; null: none. */
+  bendChosen(arc) {
+    const { length } = arc.bends || [];
+    return length && this.bent?.key === arc.key ? Math.min(this.bent.index, length - 1) : null;
+  }
+
+  chooseBend({ key }, index) {
+    this.bent = { key, index };
+    this.request();
+  }
+
+  /** The part of an arc, between its ends and bends, that is nearest to a point. */
+  segmentAt(arc, point) {
+    const { from, to } = arc;
+    const stops = [[from.x, from.y], ...bendsOf(arc), [to.x, to.y]];
+    const apart = stops.slice(1).map((stop, i) => distance(point, stops[i], stop));
+    return apart.indexOf(Math.min(...apart));
   }
 
   /** Draw a node at another position, without changing the document. */
@@ -335,6 +373,7 @@ export class Canvas extends EventTarget {
       element.append(arc.weight);
     }
     element.classList.toggle("selected", this.chosen.has(key));
+    this.bend(arc);
     from.arcs.add(arc);
     to.arcs.add(arc);
     const lifted = this.lifted.has(from) || this.lifted.has(to);

@@ -1,8 +1,9 @@
-// Gestures on the drawing: selecting, moving, the rubber band, and drawing arcs from the handles of a node. A gesture
-// changes the document once, when it ends; until then, only the drawing changes.
+// Gestures on the drawing: selecting, moving, bending, the rubber band, and drawing arcs from the handles of a node. A
+// gesture changes the document once, when it ends; until then, only the drawing changes.
 
 import { s } from "../dom.js";
-import { RADIUS, BAR } from "../geometry.js";
+import { bendsOf } from "../arc_routes.js";
+import { RADIUS, BAR, distance } from "../geometry.js";
 import { AGAIN, Pointer, STILL } from "../net_pointer.js";
 import { at } from "../net_nodes.js";
 import { snapped } from "./arrange.js";
@@ -12,19 +13,13 @@ const HANDLE = 36; // px from the centre of a node to its handles
 const REACH = 58; // the handles of a node stay while the pointer is this close (px)
 const RIM = 3; // px inside the outline of a place where its rim begins, from which arcs are drawn
 const ARC = 7; // px from the pointer within which an arc is hit
+const BEND = 9; // px from the pointer within which a bend is hit
 const SIDES = [
   [1, 0],
   [0, 1],
   [-1, 0],
   [0, -1],
 ];
-
-/** Distance of a point from a line between two points. */
-function distance([px, py], [ax, ay], [bx, by]) {
-  const [dx, dy] = [bx - ax, by - ay];
-  const t = Math.max(0, Math.min(1, ((px - ax) * dx + (py - ay) * dy) / (dx * dx + dy * dy || 1)));
-  return Math.hypot(px - ax - t * dx, py - ay - t * dy);
-}
 
 export class CanvasPointer extends Pointer {
   constructor(mode) {
@@ -36,14 +31,18 @@ export class CanvasPointer extends Pointer {
     this.band = s("rect.band", { visibility: "hidden" });
     this.ghost = s("g.ghost");
     this.guides = s("g.guides");
-    this.layer.append(this.guides, this.band, this.ghost, this.handles);
+    this.bends = s("g.bends");
+    this.layer.append(this.guides, this.band, this.ghost, this.bends, this.handles);
     this.handled = null; // the node whose handles are shown
     const { container } = this.view;
     container.onpointerleave = () => {
       this.here = null;
       if (!this.gesture) this.showHandles(null);
     };
-    this.view.addEventListener("frame", () => this.followHandles());
+    this.view.addEventListener("frame", () => {
+      this.followHandles();
+      this.showBends();
+    });
   }
 
   // -- hit testing -------------------------------------------------------------------------------
@@ -74,6 +73,8 @@ export class CanvasPointer extends Pointer {
   }
 
   arcAt(point) {
+    const { arc: chosen } = this.view;
+    if (chosen && this.bendAt(chosen, point) >= 0) return chosen;
     let [best, least] = [null, ARC / this.view.camera.now.k];
     for (const arc of this.view.arcs.all)
       for (let i = 1; i < arc.shape.points.length; i++) {
@@ -83,7 +84,23 @@ export class CanvasPointer extends Pointer {
     return best;
   }
 
+  /** The bend of an arc at a point, by its number; -1: none. */
+  bendAt(arc, [x, y]) {
+    const reach = BEND / this.view.camera.now.k;
+    return bendsOf(arc).findIndex(([bx, by]) => Math.hypot(bx - x, by - y) < reach);
+  }
+
   // -- handles -------------------------------------------------------------------------------------
+
+  /** Show the bends of the selected arc. */
+  showBends() {
+    const { arc } = this.view;
+    const points = arc ? bendsOf(arc) : [];
+    const chosen = arc ? this.view.bendChosen(arc) : null;
+    this.bends.replaceChildren(
+      ...points.map(([cx, cy], i) => s("circle", { cx, cy, r: i === chosen ? 6 : 4 })),
+    );
+  }
 
   showHandles(node) {
     if (node === this.handled) return;
@@ -133,6 +150,7 @@ export class CanvasPointer extends Pointer {
     const point = this.drawing(event);
     const handle = event.target.closest("[data-handle]");
     const node = handle ? this.handled : this.nodeAt(point);
+    const arc = node ? null : this.arcAt(point);
     // a finger moves what a tap has selected; otherwise, the view
     const touches = event.pointerType === "touch" && !(node && mode.selection.has(node.key));
     const looks = event.button === 1 || mode.panning || touches;
@@ -144,11 +162,13 @@ export class CanvasPointer extends Pointer {
           ? "move"
           : mode.tool && mode.tool !== "arc"
             ? "place"
-            : "band";
+            : arc && !mode.tool && !event.shiftKey
+              ? "bend"
+              : "band";
     this.gesture = {
       kind,
       node,
-      arc: node ? null : this.arcAt(point),
+      arc,
       at: this.point(event),
       from: point,
       camera: { ...view.camera.now },
@@ -178,11 +198,13 @@ export class CanvasPointer extends Pointer {
       gesture.moved = true;
       view.container.classList.toggle("dragging", gesture.kind === "pan");
       if (gesture.kind === "move") this.take(event);
+      if (gesture.kind === "bend") this.takeBend();
       if (gesture.kind !== "pan") this.showHandles(null);
     }
     if (gesture.kind === "pan") this.pan(gesture.camera, dx, dy);
     else if (gesture.kind === "move") this.drag();
     else if (gesture.kind === "arc") this.draw();
+    else if (gesture.kind === "bend") this.bend();
     else if (gesture.kind === "band") this.stretch();
   }
 
@@ -213,6 +235,29 @@ export class CanvasPointer extends Pointer {
       const [sx, sy] = gesture.starts[i];
       view.moveTo(node, sx + x - x0, sy + y - y0);
     });
+    this.showGuides(guides);
+  }
+
+  /** Begin to move a bend: the one under the pointer, or a new one. */
+  takeBend() {
+    const { mode, gesture, view } = this;
+    const { arc, from } = gesture;
+    mode.choose([arc.key]);
+    gesture.bends = bendsOf(arc);
+    gesture.bend = this.bendAt(arc, from);
+    if (gesture.bend < 0) {
+      gesture.bend = view.segmentAt(arc, from);
+      gesture.bends.splice(gesture.bend, 0, from);
+    }
+    view.chooseBend(arc, gesture.bend);
+    view.lift([arc.from, arc.to]);
+  }
+
+  bend() {
+    const { gesture, view, here } = this;
+    const { x, y, guides } = snapped(here[0], here[1], view.nodes, view.camera.now.k);
+    gesture.bends[gesture.bend] = [x, y];
+    view.bend(gesture.arc, gesture.bends);
     this.showGuides(guides);
   }
 
@@ -293,6 +338,7 @@ export class CanvasPointer extends Pointer {
   /** End a gesture without an edit: draw everything at its position in the document. */
   cancel() {
     for (const node of this.gesture?.nodes || []) this.view.place(node);
+    if (this.gesture?.bends) this.view.bend(this.gesture.arc);
     this.clear();
   }
 
@@ -311,6 +357,7 @@ export class CanvasPointer extends Pointer {
       const points = new Map(gesture.nodes.map(({ name, x, y }) => [name, [x, y]]));
       mode.actions.move(`Move ${mode.actions.listed(gesture.nodes.map(({ key }) => key))}`, points);
     } else if (gesture.kind === "arc") this.join(event, gesture.node, end);
+    else if (gesture.kind === "bend") mode.actions.bend(gesture.arc, gesture.bends);
     else if (gesture.kind === "band") {
       const keys = (gesture.inside || []).map(({ key }) => key);
       mode.choose(event.shiftKey ? [...mode.selection, ...keys] : keys);
@@ -352,7 +399,7 @@ export class CanvasPointer extends Pointer {
     this.lastClick = { at: now, key };
     if (again) {
       this.lastClick = null;
-      this.twice(event, key, from);
+      this.twice(event, key, from, arc);
     } else if (event.shiftKey && key) {
       const keys = new Set(mode.selection);
       if (!keys.delete(key)) keys.add(key);
@@ -361,8 +408,13 @@ export class CanvasPointer extends Pointer {
     if (node && event.pointerType !== "touch") this.showHandles(node);
   }
 
-  twice(event, key, [x, y]) {
+  twice(event, key, [x, y], arc) {
     const { mode, view } = this;
+    const bend = arc ? this.bendAt(arc, [x, y]) : -1;
+    if (bend >= 0) {
+      mode.actions.removeBend(arc, bend);
+      return;
+    }
     if (key) {
       if (!mode.actions.openSubnet(key)) mode.beginRename(key);
       return;

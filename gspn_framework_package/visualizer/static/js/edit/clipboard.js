@@ -22,6 +22,8 @@ function isValue(value) {
 }
 
 const isName = (value) => typeof value === "string" && value.trim() !== "";
+const isPoint = (value) =>
+  Array.isArray(value) && value.length === 2 && value.every(Number.isFinite);
 const isObject = (value) => value !== null && typeof value === "object" && !Array.isArray(value);
 
 /** The selected nodes of a state, the arcs between them and the actions of the places, as text; "" if there are none.
@@ -59,9 +61,7 @@ export function parsed(text) {
   const fits = (node, keys) => {
     if (!isObject(node) || !isName(node.name) || names.has(node.name)) return false;
     names.add(node.name);
-    const { position } = node;
-    if (!Array.isArray(position) || position.length !== 2 || !position.every(Number.isFinite))
-      return false;
+    if (!isPoint(node.position)) return false;
     return Object.entries(keys).every(
       ([key, holds]) => node[key] === undefined || holds(node[key]),
     );
@@ -71,6 +71,7 @@ export function parsed(text) {
   const isPlace = new Set(places.map(({ name }) => name));
   const joins = (arc) =>
     isObject(arc) &&
+    (arc.bends === undefined || (Array.isArray(arc.bends) && arc.bends.every(isPoint))) &&
     names.has(arc.from) &&
     names.has(arc.to) &&
     isPlace.has(arc.from) !== isPlace.has(arc.to) &&
@@ -86,7 +87,7 @@ export function parsed(text) {
   return {
     places: places.map((p) => only(p, [...common, ...Object.keys(PLACE)])),
     transitions: transitions.map((t) => only(t, [...common, ...Object.keys(TRANSITION)])),
-    arcs: arcs.map((arc) => only(arc, ["from", "to", "weight", "inhibitor"])),
+    arcs: arcs.map((arc) => only(arc, ["from", "to", "weight", "inhibitor", "bends"])),
     actions: Object.fromEntries(Object.entries(actions).filter(([name]) => isPlace.has(name))),
     resources: resources.filter((name) => isPlace.has(name)),
   };
@@ -109,7 +110,12 @@ export function fitted(part, net, move) {
   return {
     places: part.places.map(node),
     transitions: part.transitions.map(node),
-    arcs: part.arcs.map((arc) => ({ ...arc, from: names.get(arc.from), to: names.get(arc.to) })),
+    arcs: part.arcs.map((arc) => ({
+      ...arc,
+      from: names.get(arc.from),
+      to: names.get(arc.to),
+      ...(arc.bends ? { bends: arc.bends.map(([x, y]) => move(x, y)) } : {}),
+    })),
     actions: Object.fromEntries(
       Object.entries(part.actions).map(([name, action]) => [names.get(name), action]),
     ),

@@ -13,6 +13,11 @@ export const EDIT_KEYS = [
   ["F2, Enter", "rename the selected node; edit the weight of the selected arc"],
   ["+  −", "tokens of the selected places, weight of the selected arcs; otherwise zoom"],
   ["H", "make the selected arcs inhibitor arcs, and back"],
+  [
+    "drag an arc, or B",
+    "bend it; drag a bend, or ← → ↑ ↓, to move it; B: the next bend, or a new one",
+  ],
+  ["double click a bend, or Shift + B", "remove it"],
   ["X", "make the selected transitions timed or immediate"],
   ["← → ↑ ↓", "move the selection (with Shift: farther), or the view if nothing is selected"],
   ["Ctrl + ← → ↑ ↓", "select the next node in that direction (Shift: add it to the selection)"],
@@ -171,6 +176,7 @@ function alone(event, mode) {
   const acts = {
     a: () => mode.beginArc(),
     h: () => actions.toggleInhibitor(),
+    b: () => (event.shiftKey ? actions.removeBend() : actions.nextBend()),
     x: () => actions.toggleTimed(),
     "+": more,
     "=": more,

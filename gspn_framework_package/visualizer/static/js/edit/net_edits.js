@@ -62,13 +62,35 @@ export function moveNodes(net, positions, all) {
   const bare = [...net.places, ...net.transitions].some((node) => !node.position);
   if (!bare && !positions.size) return net;
   const present = bare ? all() : null;
-  return mapNodes(net, (data) => {
+  const moved = mapNodes(net, (data) => {
     const wanted = positions.get(data.name) || (data.position ? null : present.get(data.name));
     if (!wanted) return data;
     const [x, y] = data.position || [];
     return x === wanted[0] && y === wanted[1] ? data : { ...data, position: wanted };
   });
+  return net.arcs.some(({ bends }) => bends) ? carryBends(net, moved) : moved;
 }
+
+/** The net `moved` with the bends of each arc moved by the mean of what its ends have moved since `net`. */
+function carryBends(net, moved) {
+  const where = ({ places, transitions }) =>
+    new Map([...places, ...transitions].map(({ name, position }) => [name, position]));
+  const [was, now] = [where(net), where(moved)];
+  const way = (name, axis) => (was.get(name) ? now.get(name)[axis] - was.get(name)[axis] : 0);
+  const arcs = moved.arcs.map((arc) => {
+    const [dx, dy] = [0, 1].map((axis) => (way(arc.from, axis) + way(arc.to, axis)) / 2);
+    if (!arc.bends || (!dx && !dy)) return arc;
+    const round = (value) => Math.round(value * 100) / 100;
+    return { ...arc, bends: arc.bends.map(([x, y]) => [round(x + dx), round(y + dy)]) };
+  });
+  return { ...moved, arcs };
+}
+
+/** The net without bends. */
+export const unbent = (net) => ({
+  ...net,
+  arcs: net.arcs.map((arc) => (arc.bends ? changed(arc, { bends: undefined }) : arc)),
+});
 
 /** Add nodes and arcs. */
 export function addParts(net, { places = [], transitions = [], arcs = [] }) {
