@@ -12,21 +12,19 @@ INTERFACE = "gspn"
 """The package for those who use it from Python."""
 
 LIBRARIES = {
-    "python3-cryptography": "cryptography>=2.8",
     "python3-flask": "Flask>=1.1",
     "python3-jsonschema": "jsonschema>=3.2",
     "python3-lxml": "lxml>=4.5",
-    "python3-matplotlib": "matplotlib>=3.1",
     "python3-numpy": "numpy>=1.17",
-    "python3-pil": "Pillow>=7.0",
     "python3-psutil": "psutil>=5.5",
     "python3-scipy": "scipy>=1.3",
     "python3-waitress": "waitress>=1.4",
     "python3-yaml": "PyYAML>=5.3",
 }
-"""rosdep key -> what pip calls it."""
+"""rosdep key -> what pip calls it. Those of the manifest that are not here are in an extra."""
 
 ZENOH = [
+    "cryptography>=2.8",
     "eclipse-zenoh>=1.7,<2 ; python_version >= '3.9'",
     "eclipse-zenoh>=1.5,<1.6 ; python_version < '3.9'",
 ]
@@ -46,9 +44,11 @@ EXTRAS = {
         "duckdb>=1.2,<3 ; python_version >= '3.9'",
         "duckdb>=1.1,<1.2 ; python_version < '3.9'",
     ],
+    "plots": ["matplotlib>=3.1"],
     "symmetry": ["igraph>=0.10,<2"],
     "team": ZENOH,  # agents and their operator, without ROS
     "world": [
+        "Pillow>=7.0",
         "imageio-ffmpeg>=0.4,<1",
         "pybullet>=3.2,<4 ; python_version >= '3.9'",
         "pybullet>=3.2,<3.2.6 ; python_version < '3.9'",

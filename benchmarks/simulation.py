@@ -184,7 +184,7 @@ def measure(plan: Plan, seconds: float, turns: int) -> Dict[str, float]:
         "plain": lambda: kernel_rate(plan, seconds, False),
         "table": lambda: table_rate(plan, seconds),
     }
-    if machine.may_compile():
+    if machine.numba_is_there():
         engines["kernel"] = lambda: kernel_rate(plan, seconds, True)
         engines["loop"] = lambda: plain_rate(plan.net, seconds)
     best = dict.fromkeys(engines, 0.0)

@@ -20,7 +20,7 @@ from gspn_framework_package.cli.limits import LIMIT_OPTIONS, limits_of, working
 from gspn_framework_package.cli.net_input import add_subject_arguments, print_notes, read_subject
 from gspn_framework_package.cli.options import Argument, Arguments, add_options, choice
 from gspn_framework_package.model.duration import Kind
-from gspn_framework_package.model.errors import UsageError
+from gspn_framework_package.model.errors import UsageError, how_to_install
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 
@@ -114,7 +114,7 @@ def begin_picture(path: str) -> None:
     try:
         import matplotlib
     except ImportError:
-        raise UsageError("matplotlib is not installed", hint="install python3-matplotlib") from None
+        raise UsageError("matplotlib is not installed", hint=how_to_install("matplotlib")) from None
     matplotlib.use("Agg")
     # Its warnings about fonts and layouts are for programmers; unknown letters in names are drawn
     # as boxes.

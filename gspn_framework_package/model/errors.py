@@ -133,13 +133,32 @@ class ExecutionError(RefusedError):
     """A run cannot continue: a missing server, a stalled team, a broken action function."""
 
 
+EXTRAS = {
+    "PIL": "world",
+    "cryptography": "team",
+    "imageio_ffmpeg": "world",
+    "matplotlib": "plots",
+    "numba": "fast",
+    "pybullet": "world",
+}
+"""Library -> the extra of this package with which pip installs it."""
+
+
 def missing_library(error: ModuleNotFoundError) -> str:
     """Return the message for a user whose Python lacks a library."""
-    return (
-        "%s has no Python library '%s'\n"
-        "Install it, or use the Python that ./run_demo prepares in a checkout: "
-        ".workspace/venv/bin/python3"
-    ) % (sys.executable, error.name)
+    return "%s has no Python library '%s' (%s)" % (
+        sys.executable,
+        error.name,
+        how_to_install(error.name or ""),
+    )
+
+
+def how_to_install(library: str) -> str:
+    """Return how a user gets a library, for the end of a message."""
+    extra = EXTRAS.get(library.partition(".")[0])
+    if extra is None:
+        return "pip install %s" % library
+    return "it comes with the extra [%s]: in a checkout, pip install '.[%s]'" % (extra, extra)
 
 
 def closest(word: object, known: Iterable[object]) -> str:

@@ -26,7 +26,7 @@ import tempfile
 from typing import TYPE_CHECKING, Any, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.formats.source import open_file
-from gspn_framework_package.model.errors import KeysError
+from gspn_framework_package.model.errors import KeysError, how_to_install
 
 if TYPE_CHECKING:
     from cryptography import x509
@@ -502,7 +502,8 @@ def _require_library() -> None:
         import cryptography  # noqa: F401
     except ImportError:
         raise KeysError(
-            "the Python library 'cryptography' is not installed", hint="pip install cryptography"
+            "the Python library 'cryptography' is not installed",
+            hint=how_to_install("cryptography"),
         ) from None
 
 

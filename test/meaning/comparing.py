@@ -237,7 +237,7 @@ def simulation_and_run(case: Case) -> List[str]:
     few = 0 if int(case.name.split()[-1]) % 2 else policy_book.FEW_ENTRIES
 
     def measure(runs: int, seed: int) -> Any:
-        with mock.patch.object(machine, "may_compile", lambda: False), mock.patch.object(
+        with mock.patch.object(machine, "numba_is_there", lambda: False), mock.patch.object(
             policy_book, "FEW_ENTRIES", few
         ):
             samples = simulate(

@@ -733,7 +733,7 @@ def test_arguments_reach_the_verb(verb):
         (
             ModuleNotFoundError("No module named 'lxml'", name="lxml"),
             2,
-            "gspn: error: %s has no Python library 'lxml'" % sys.executable,
+            "gspn: error: %s has no Python library 'lxml' (pip install lxml)" % sys.executable,
         ),
         (
             ModuleNotFoundError("No module named 'x'", name="gspn_framework_package.x"),

@@ -136,7 +136,7 @@ def predict(
 
 def _worth_compiling(firings: float) -> bool:
     """Whether the compiled kernel is faster for this many firings."""
-    if firings <= machine.WORTH_COMPILING or not machine.may_compile():
+    if firings <= machine.WORTH_COMPILING or not machine.numba_is_there():
         return False
     return firings > _WORTH_WAITING or machine.is_loaded() or machine.is_cached()
 
@@ -154,7 +154,7 @@ class _Group(NamedTuple):
 
 def _play_group(spans: Sequence[Span], group: _Group, watch: Watch) -> RunSample:
     size, parameters = group.size, group.parameters
-    if group.compiled and machine.may_compile():  # also in a worker
+    if group.compiled and machine.numba_is_there():  # also in a worker
         machine.compiled_kernel()
     seconds = np.zeros(size)
     came = np.ones(size, dtype=bool)

@@ -138,7 +138,7 @@ class AimedRun:
 
 def worth_compiling(seconds: float) -> bool:
     """Whether the compiled kernel pays off for this many seconds of simulation."""
-    if not machine.may_compile():
+    if not machine.numba_is_there():
         return False
     if machine.is_loaded():
         return True

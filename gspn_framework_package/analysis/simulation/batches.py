@@ -132,7 +132,7 @@ class KernelPlayer:
         self._run = run
         self._began = clock.monotonic()
         self._compile: Optional[Callable[[], None]] = None
-        if machine.may_compile():
+        if machine.numba_is_there():
             if machine.is_loaded():
                 self._run.compile()
             else:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import glob
-import importlib.util
 import inspect
 import os
 from collections import Counter
@@ -14,12 +13,19 @@ from typing import Any, Callable, Dict, Iterator, Sequence, Tuple
 import numpy as np
 
 from gspn_framework_package.analysis.simulation import kernel
+from gspn_framework_package.analysis.state_space.space import numba_is_there as numba_is_there
+from gspn_framework_package.model.errors import how_to_install
 
 WORTH_COMPILING = 20_000
 """After this many firings in plain Python (a second or two), the compiled form takes over, if numba
 is installed."""
 
 
+MANY_FIRINGS = 200_000
+"""More firings than this in plain Python (ten seconds or more) are worth a note."""
+
+SLOW = "numba would simulate about twenty times as fast (%s)" % how_to_install("numba")
+"""The note."""
 _LOOPS = ("play", "race")
 
 
@@ -68,11 +74,6 @@ def compiled_kernel() -> Dict[str, Callable[..., Any]]:
             else compiled_part(function, inserted=used[node.name] <= 2)
         )
     return {name: names[name] for name in _LOOPS}
-
-
-def may_compile() -> bool:
-    """Whether numba is installed; does not import it."""
-    return importlib.util.find_spec("numba") is not None
 
 
 def is_loaded() -> bool:

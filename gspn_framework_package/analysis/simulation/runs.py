@@ -18,7 +18,7 @@ import numpy as np
 
 from gspn_framework_package.analysis.executors import Executor, LocalExecutor, WorkItem, Workload
 from gspn_framework_package.analysis.plan.reading import NET, RUN, checked_reading
-from gspn_framework_package.analysis.simulation import estimates
+from gspn_framework_package.analysis.simulation import estimates, machine
 from gspn_framework_package.analysis.simulation.batches import (
     Played,
     RunBatch,
@@ -220,6 +220,8 @@ class SimulationWork:
         notes = self._player.notes
         if asked.batches is not None:
             notes = notes + _correlated(found)
+        if self._events > machine.MANY_FIRINGS and not machine.numba_is_there():
+            notes = [*notes, machine.SLOW]
         whole = sum(found.seconds.tolist())
         result = estimates.summary(
             self._net,

@@ -258,7 +258,7 @@ def test_the_simulation_agrees_with_the_run_in_virtual_time(plan):
 
 
 @pytest.mark.long
-@pytest.mark.skipif(not machine.may_compile(), reason="numba is missing")
+@pytest.mark.skipif(not machine.numba_is_there(), reason="numba is missing")
 @settings(relaxed, max_examples=10)
 @given(with_events(small_plans()))
 def test_both_forms_give_the_same_numbers(plan):

@@ -4,6 +4,8 @@ reproducible."""
 import importlib.util
 import math
 import random
+import re
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +20,7 @@ from benchmarks.nets import flexible_manufacturing, kanban, philosophers
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.simulation import kernel, machine, simulate, state_cache
 from gspn_framework_package.analysis.simulation.kernel_run import KernelRun
+from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.condition import parse_condition
@@ -283,7 +286,7 @@ def assert_played_by_the_firing_rule(net, until):
     names = [p.name for p in net.places]
     condition = parse_condition(until, names, ["deadlock"])
     forms = []
-    for compiled in (False, machine.may_compile()):
+    for compiled in (False, machine.numba_is_there()):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(machine, "is_loaded", lambda compiled=compiled: compiled)
             try:
@@ -304,3 +307,32 @@ def assert_played_by_the_firing_rule(net, until):
     distance = np.abs(rows.mean(axis=0) - other.mean(axis=0))
     # 7.5 standard errors: one in ten million times for a thousand comparisons
     assert (distance <= 7.5 * spread + 1e-6).all()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "check patrol --json",
+        "analyse rendezvous --json",
+        "simulate patrol --time 60 --replications 3 --json",
+    ],
+)
+def test_without_numba_the_answers_are_the_same(words, capsys, monkeypatch):
+    monkeypatch.chdir(PLANS)
+    monkeypatch.setattr(machine, "WORTH_COMPILING", 0)
+    told = []
+    for _ in range(2):
+        assert main(words.split()) == 0
+        told.append(re.sub(r'"[a-z_]*(seconds|_s)": [0-9.e-]+', "", capsys.readouterr().out))
+        monkeypatch.setitem(sys.modules, "numba", None)
+        assert not machine.numba_is_there()
+    assert told[0] == told[1]
+
+
+def test_a_long_simulation_without_numba_says_that_it_is_slow(monkeypatch):
+    plan = read_plan(PLANS / "patrol")
+    monkeypatch.setattr(machine, "MANY_FIRINGS", 10)
+    monkeypatch.setattr(machine, "numba_is_there", lambda: False)
+    assert machine.SLOW in simulate(plan, time=60.0, replications=3).notes
+    monkeypatch.setattr(machine, "numba_is_there", lambda: True)
+    assert machine.SLOW not in simulate(plan, time=60.0, replications=3).notes

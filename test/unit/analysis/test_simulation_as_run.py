@@ -145,7 +145,7 @@ def test_a_draw_is_kept_until_the_marking_changes():
     assert 8 < alone < 16  # 0.1 of 120 steps of the other; never more than one a step
 
 
-@pytest.mark.skipif(not machine.may_compile(), reason="numba is missing")
+@pytest.mark.skipif(not machine.numba_is_there(), reason="numba is missing")
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(small_plans())
 def test_both_forms_give_the_same_numbers(plan):
@@ -160,7 +160,7 @@ def test_both_forms_give_the_same_numbers(plan):
     assert str(results[0]) == str(results[1])
 
 
-@pytest.mark.skipif(not machine.may_compile(), reason="numba is missing")
+@pytest.mark.skipif(not machine.numba_is_there(), reason="numba is missing")
 def test_a_run_may_change_its_form_at_any_time():
     plan = read_plan(PLANS / "patrol").for_robots(9)
     results = []
@@ -176,7 +176,7 @@ def test_a_run_may_change_its_form_at_any_time():
     assert results[0] == results[1]
 
 
-@pytest.mark.skipif(not machine.may_compile(), reason="numba is missing")
+@pytest.mark.skipif(not machine.numba_is_there(), reason="numba is missing")
 def test_the_kernel_is_compiled_once_for_all_plans(monkeypatch):
     monkeypatch.setattr(machine, "is_loaded", lambda: True)
     for name, time in (("patrol", 5), ("measure", 200.0), ("fork_join", 3.0)):
