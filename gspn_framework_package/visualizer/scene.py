@@ -50,7 +50,7 @@ def scene_to_json(net: Net, plan: Optional[Plan] = None) -> Dict[str, Any]:
             for i, t in enumerate(net.transitions)
         ],
         "arcs": [_arc(net, a) for a in range(len(net.arcs))],
-        "layout": layout_to_json(net, layout),
+        "layout": {**layout_to_json(net, layout), "bends": _bends(net, layout)},
         "subnets": _subnets(net, plan),
         "plan": _plan(plan),
     }
@@ -62,13 +62,15 @@ def layout_to_json(net: Net, layout: Layout) -> Dict[str, Any]:
         "engine": layout.engine,
         "places": [_rounded(layout.positions[p.name]) for p in net.places],
         "transitions": [_rounded(layout.positions[t.name]) for t in net.transitions],
-        "bends": _bends(net, layout) if layout.engine == "file" else {},
     }
 
 
 def _bends(net: Net, layout: Layout) -> Dict[int, List[List[float]]]:
-    """Number of an arc -> its bends, from the middle between its ends: they move with these."""
-    found = {}
+    """Number of an arc -> its bends, from the middle between its ends, with which they move; none
+    if the layout is not that of the file."""
+    found: Dict[int, List[List[float]]] = {}
+    if layout.engine != "file":
+        return {}
     nodes = {place.name: place.position for place in net.places}
     nodes.update((t.name, t.position) for t in net.transitions)
     for number, arc in enumerate(net.arcs):

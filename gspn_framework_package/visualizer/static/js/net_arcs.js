@@ -42,7 +42,7 @@ export class Arcs {
   }
 
   /** Use the bends that belong to a layout: number of an arc -> bends. */
-  bend(bends) {
+  bend(bends = {}) {
     this.all.forEach((arc, i) => Object.assign(arc, { drawn: bends[i], stale: true }));
   }
 
