@@ -11,6 +11,7 @@ const READABLE = 0.55; // from this zoom on, names are readable
 const EDGE = 24; // px from the edge within which a node counts as out of sight
 const INSIDE = 90; // a node that was out of sight is brought this far from the edge (px)
 const THIN = 0.5; // below this zoom, lines are drawn thicker so that they stay visible
+const REST = 150; // ms without a move after which the view is at rest
 
 const limited = (k) => Math.min(NEAREST, Math.max(FARTHEST, k));
 
@@ -117,7 +118,7 @@ export class Camera {
     const { width, height } = this.size;
     if (!width || !height) return;
     if (!this.now || this.fitted) this.fit();
-    this.cull();
+    this.cull(true);
   }
 
   draw() {
@@ -126,17 +127,36 @@ export class Camera {
     const transform = `translate(${x.toFixed(1)} ${y.toFixed(1)}) scale(${k.toFixed(4)})`;
     for (const layer of this.view.moving) layer.setAttribute("transform", transform);
     this.small = k < SMALL;
-    this.view.arcs.zoomed(k);
+    this.cull();
+    this.keepMoving();
+    if (this.view.nodes.length < CULL || !this.bold) this.rest();
+    else
+      this.resting = setTimeout(() => {
+        // unless the next frame, however late it is, moves the view again
+        this.last = requestAnimationFrame(() => this.dirty || this.rest());
+      }, REST);
+  }
+
+  keepMoving() {
+    clearTimeout(this.resting);
+    cancelAnimationFrame(this.last);
+  }
+
+  /** What takes longer than a frame in a large net: draw what is visible at this zoom, lines and arrowheads so thick,
+   * and so large, that they are, and hide the nodes that are not in view. */
+  rest() {
+    const { k } = this.now;
+    this.cull(true);
     this.view.container.classList.toggle("far", k < FAR);
+    this.view.arcs.zoomed(k);
     // inherited by every element below; changed in steps, so that not every zoom step restyles all of them
     const bold = 2 ** (Math.round(2 * Math.log2(Math.max(1, THIN / k))) / 2);
     if (bold !== this.bold) this.view.container.style.setProperty("--bold", bold.toFixed(2));
     this.bold = bold;
-    this.cull();
   }
 
-  /** Hide the nodes that are not in view. */
-  cull() {
+  /** Show the nodes that are in view; `hide`: and no others. */
+  cull(hide = false) {
     const { nodes } = this.view;
     if (nodes.length < CULL || !this.now) return;
     const { width, height } = this.size;
@@ -149,15 +169,16 @@ export class Camera {
     ];
     for (const node of nodes) {
       const out = node.x < x0 || node.x > x1 || node.y < y0 || node.y > y1;
-      if (out !== Boolean(node.out)) {
-        node.out = out;
-        node.element.style.display = out ? "none" : "";
-      }
+      node.out = out;
+      if (out === Boolean(node.hidden) || (out && !hide)) continue;
+      node.hidden = out;
+      node.element.style.display = out ? "none" : "";
     }
   }
 
   close() {
     this.stop();
+    this.keepMoving();
     this.observer.disconnect();
   }
 }
