@@ -1,5 +1,5 @@
-"""A real browser (Debian's Chromium) on a real server. Whatever a page logs as an error, or asks
-for elsewhere, fails its test."""
+"""A real browser (Debian's Chromium; one test has a Firefox of its own) on a real server. Whatever
+a page logs as an error, or asks for elsewhere, fails its test."""
 
 import json
 import os
