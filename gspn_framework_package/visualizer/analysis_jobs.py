@@ -57,6 +57,7 @@ ANALYSIS_QUESTIONS = (
     "simulate",
     "sweep",
     "predict",
+    "exact",
     "decide",
     "optimise",
 )

@@ -30,6 +30,7 @@ from gspn_framework_package.formats.plan_json import plan_from_json, plan_to_sho
 from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.plan_timing import PlanTiming
 from gspn_framework_package.visualizer.activity import whole_field
 from gspn_framework_package.visualizer.optimise_form import request_in_form, simulated_of
 from gspn_framework_package.visualizer.optimised import PolicyChanges
@@ -90,6 +91,8 @@ def _analyse(request: Dict[str, Any]) -> None:
     if "sweep" in request:
         sweep_in_parts(subject, request["sweep"], progress, lambda part: _say(part={"sweep": part}))
         return
+    if "exact" in request:
+        _say(part={"exact": exact_paces(subject, form_number(request, "exact"), progress)})
     if "predict" in request:
         _say(part={"prediction": _predict(subject, request["predict"], progress)})
         return
@@ -184,6 +187,28 @@ def _predict(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str, 
         "growth": growths(plan, sample),
         "runs": sample.size,
     }
+
+
+def exact_paces(
+    subject: Union[Net, Plan], seconds: Optional[float], progress: Progress
+) -> Dict[str, Any]:
+    """The firings per second of each transition in the long run, by the Markov chain of so many
+    ``states``, or ``why`` there is no such answer within so many seconds."""
+    if isinstance(subject, Plan):
+        differing = PlanTiming(subject).differing
+        if differing:
+            return {"why": differing}
+        subject = replace(subject, until=None)
+    limits = Limits(seconds=seconds or 1.0, memory=ANALYSIS_MEMORY // 2)
+    try:
+        analysis = Analysis(subject, limits=limits, structure=False, progress=progress)
+        found = report(analysis, Questions(structure=False))
+    except GspnError as error:
+        return {"why": error.message}
+    steady, why = found.get("steady_state"), found["undecided"]
+    if not steady:
+        return {"why": str(next(iter(why.values()), "the chain has no steady state"))}
+    return {"states": found["states"]["total"], "throughput": steady["throughput"]}
 
 
 def _decide(

@@ -36,7 +36,12 @@ from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.reasons import reasons_in
 from gspn_framework_package.visualizer.session import Session
 from gspn_framework_package.visualizer.streams import PING, Streams
-from gspn_framework_package.visualizer.what_if import FirstLooks, adjustable, what_if_in_form
+from gspn_framework_package.visualizer.what_if import (
+    EXACT_SECONDS,
+    FirstLooks,
+    adjustable,
+    what_if_in_form,
+)
 
 UPLOAD_BYTES = 12_000_000
 """Largest request in bytes; an upload is base64, so files of 8 MB fit."""
@@ -301,7 +306,8 @@ def _add_analysis(app: flask.Flask, project: Project, jobs: AnalysisJobs) -> Non
         changed = what_if_in_form(fields, plan).apply(plan)
         if fields.get("whole") is not True:
             return looks.at(changed)
-        asked = {"predict": fields.get("next"), "policy": True, "seconds": WHAT_IF_LIMIT}
+        asked = {"predict": fields.get("next"), "exact": EXACT_SECONDS}
+        asked.update(policy=True, seconds=WHAT_IF_LIMIT)
         document = opened.document._replace(net=changed.net, plan=changed)
         return {"job": jobs.start(document, changed.net.initial_marking, asked, opened.key)}
 

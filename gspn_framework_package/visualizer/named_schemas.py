@@ -49,13 +49,19 @@ STORY: Dict[str, Schema] = {
 
 _FACTORS = map_to(NUMBER)
 _RUNS = object_with({"runs": WHOLE, "time": NUMBER})
-ADJUSTABLE: Dict[str, Schema] = {"robots": WHOLE, "places": _FACTORS, "rates": _FACTORS}
+ADJUSTABLE: Dict[str, Schema] = {
+    "robots": WHOLE,
+    "places": _FACTORS,
+    "rates": _FACTORS,
+    "each": NAMES,
+}
 WHAT_IF: Tuple[Dict[str, Schema], Dict[str, Schema]] = (
     {
         "robots?": WHOLE,
         "slower?": described_as(NUMBER, "a factor of the time of every action"),
         "places?": described_as(_FACTORS, "place -> a further factor of the time of its action"),
         "rates?": described_as(_FACTORS, "event -> a factor of its rate"),
+        "each?": described_as(_FACTORS, "robot -> a further factor of the time of its actions"),
         "whole?": described_as(FLAG, "start the longer simulation that 'next' describes"),
         "next?": _RUNS,
     },

@@ -1,9 +1,10 @@
-"""What would change if robots were slower, more, or called away more often: bands of firings, in a
-first look that follows a slider, and in a simulation that takes some seconds.
+"""What would change if robots, or one of them, were slower, more, or called away more often: bands
+of firings, in a first look that follows a slider, and in a simulation that takes some seconds; and
+the exact mean, where the Markov chain is small enough.
 
-Both come from the same simulation of the plan (:mod:`~.analysis.monitoring.prediction`). The first
-look plays a few short runs, always with the same random numbers, so that what moves is the effect
-of the slider.
+Both bands come from the same simulation of the plan (:mod:`~.analysis.monitoring.prediction`). The
+first look plays a few short runs, always with the same random numbers, so that what moves is the
+effect of the slider.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from gspn_framework_package.analysis.monitoring.prediction import (
     predict,
 )
 from gspn_framework_package.model.errors import UsageError
-from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.plan import OwnTimes, Plan
 from gspn_framework_package.visualizer.activity import RequestFields, whole_field
 from gspn_framework_package.visualizer.analysis_jobs import ALL_TRANSITIONS
 from gspn_framework_package.visualizer.scene import is_environment
@@ -35,6 +36,9 @@ _FIRST_RUNS, _FIRST_FIRINGS = 8, 1_500
 
 WHOLE_SECONDS = 1.6
 """Seconds of computing for the simulation that follows."""
+
+EXACT_SECONDS = 1.5
+"""Seconds of computing for the exact answer, which comes before that simulation."""
 
 _WHOLE_RUNS = 60
 """Runs of that simulation."""
@@ -50,12 +54,14 @@ class WhatIf(NamedTuple):
     :ivar slower: a factor of the times of all actions.
     :ivar places: place -> a further factor of the time of its action.
     :ivar rates: transition -> a factor of its rate.
+    :ivar each: robot -> a further factor of the times of its actions.
     """
 
     robots: int
     slower: float
     places: Mapping[str, float]
     rates: Mapping[str, float]
+    each: Mapping[str, float]
 
     def apply(self, plan: Plan) -> Plan:
         """The changed plan, which runs without end. :raises PlanError: it cannot have so many
@@ -69,6 +75,13 @@ class WhatIf(NamedTuple):
             else:
                 rates.update(dict.fromkeys(_rated(plan, place), 1 / factor))
         changed = Parameters(times, {}, {}, rates).apply(replace(plan, until=None))
+        own = dict(changed.own_times)
+        for robot, factor in self.each.items():
+            its = own.get(robot, OwnTimes())
+            durations = {**changed.durations, **its.durations}
+            factors = dict.fromkeys(durations, factor)
+            own[robot] = its._replace(durations=durations).scaled(factors)
+        changed = replace(changed, own_times=own)
         same = self.robots == len(plan.robots)
         return changed if same else changed.for_robots(self.robots)
 
@@ -96,7 +109,8 @@ def action_means(plan: Plan) -> Dict[str, float]:
 
 def adjustable(plan: Plan) -> Dict[str, Any]:
     """What can be changed, for the page: the number of ``robots``, the mean time of actions by
-    ``places`` (s), and the ``rates`` of events and of the environment (1/s)."""
+    ``places`` (s), the ``rates`` of events and of the environment (1/s), and the names of ``each``
+    robot that can have times of its own: the net's rates are those of all robots."""
     net = plan.net
     rates = {
         t.name: float(t.number)
@@ -105,7 +119,13 @@ def adjustable(plan: Plan) -> Dict[str, Any]:
         and isinstance(t.rate, (int, float))
         and (t.name in plan.events or is_environment(net, plan, i))
     }
-    return {"robots": len(plan.robots), "places": action_means(plan), "rates": rates}
+    each = [robot.name for robot in plan.robots] if plan.durations else []
+    return {
+        "robots": len(plan.robots),
+        "places": action_means(plan),
+        "rates": rates,
+        "each": each,
+    }
 
 
 def what_if_in_form(fields: RequestFields, plan: Plan) -> WhatIf:
@@ -128,7 +148,7 @@ def what_if_in_form(fields: RequestFields, plan: Plan) -> WhatIf:
 
     robots = whole_field(fields, "robots", known["robots"], 1, max(20, 3 * known["robots"]))
     slower = factor(fields.get("slower", 1.0))
-    return WhatIf(robots, slower, factors("places"), factors("rates"))
+    return WhatIf(robots, slower, factors("places"), factors("rates"), factors("each"))
 
 
 def growths(plan: Plan, sample: RunSample) -> Dict[str, List[float]]:

@@ -33,6 +33,7 @@ def test_sliders_move_the_band_and_a_simulation_follows(show_net, open_page, axe
         arg=before,
     )
     page.wait_for_selector("details[data-shows='simulated']:has-text('Simulated: ')")
+    page.wait_for_selector("details:has-text('Exactly ')")
     assert _pace(page) < 0.5 * before
     _drag(page, "robots", 8)
     page.wait_for_selector("details[data-shows='first look']:has-text('First look: ')")

@@ -14,6 +14,7 @@ from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer import what_if
+from gspn_framework_package.visualizer.analysis_worker import exact_paces
 from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.session import Session
@@ -47,6 +48,11 @@ def test_a_change_does_what_it_says_to_times_robots_and_rates(plan: Plan) -> Non
     changed = what_if_in_form({"places": {place: 3}}, stated).apply(stated)
     assert changed.durations[place].mean == pytest.approx(21.0)
     assert len(what_if_in_form({"robots": 6}, plan).apply(plan).robots) == 6
+    one = stated.robots[0].name
+    alone = what_if_in_form({"slower": 2, "each": {one: 3}}, stated).apply(stated)
+    assert alone.durations[place].mean == pytest.approx(14.0)
+    assert alone.own_times[one].durations[place].mean == pytest.approx(42.0)
+    assert what_if.adjustable(plan)["each"] == [] != what_if.adjustable(stated)["each"]
     inspection = read_plan(plans_folder() + "/inspection")
     event = next(iter(what_if.adjustable(inspection)["rates"]))
     rated = what_if_in_form({"rates": {event: 0.5}}, inspection).apply(inspection)
@@ -70,6 +76,7 @@ def test_slower_robots_do_less_in_a_first_look(plan: Plan) -> None:
         {"places": {"nowhere": 2}},
         {"places": [1]},
         {"rates": {"t2:AlarmOff_L1": 2}},
+        {"each": {"robot_1": 2}},  # its times are rates of the net
     ],
 )
 def test_what_makes_no_sense_is_refused(client: PageClient, fields: Any) -> None:
@@ -92,6 +99,19 @@ def test_the_page_gets_a_first_look_and_then_a_simulation(client: PageClient, pl
     found = report["result"]["prediction"]
     assert report["state"] == "done" and found["runs"] == 4
     assert found["growth"][ALL][0] == pytest.approx(look["growth"][ALL][0], rel=0.3)
+    exact = report["result"]["exact"]
+    assert exact["states"] > 1 and set(exact["throughput"]) == {
+        t.name for t in plan.net.transitions
+    }
+    assert sum(exact["throughput"].values()) == pytest.approx(look["growth"][ALL][0], rel=0.3)
+
+
+def test_where_there_is_no_exact_answer_it_says_why() -> None:
+    plan = read_plan(plans_folder() + "/warehouse")
+    robot = plan.robots[0].name
+    changed = what_if_in_form({"each": {robot: 2}}, plan).apply(plan)
+    assert pace(plan, each={robot: 8}) < pace(plan)
+    assert "do not distinguish robots" in exact_paces(changed, 1.0, lambda *_: None)["why"]
 
 
 def test_a_net_alone_has_no_runs_to_predict() -> None:

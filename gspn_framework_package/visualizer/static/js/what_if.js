@@ -1,5 +1,6 @@
-// What if robots were slower, more, or called away more often: sliders move a band of predicted firings. While one
-// moves, a few short runs give a first look; when it rests, a longer simulation follows. The page says which is shown.
+// What if robots, or one of them, were slower, more, or called away more often: sliders move a band of predicted
+// firings. While one moves, a few short runs give a first look; when it rests, the exact mean follows where it can be
+// had, and a longer simulation. The page says which is shown.
 
 import { h, labelled, menu, number, options, question, refill } from "./dom.js";
 import { get, post } from "./api.js";
@@ -65,7 +66,7 @@ export class WhatIf {
   }
 
   build() {
-    const { robots, places, rates } = this.known;
+    const { robots, places, rates, each } = this.known;
     const slider = (id, attributes, told) => {
       const value = h("output");
       const input = h("input", { id: `wi-${id}`, type: "range", ...attributes });
@@ -83,7 +84,7 @@ export class WhatIf {
     const factor = (id) =>
       slider(id, { min: -TIMES, max: TIMES, step: STEP, value: 0 }, (power) => times(10 ** power));
     const choice = (id, names, label) =>
-      menu(Object.keys(names), {
+      menu(names, {
         id: `wi-${id}`,
         "aria-label": label,
         onchange: () => this.changed(),
@@ -96,19 +97,23 @@ export class WhatIf {
     );
     this.slower = factor("slower");
     this.place = factor("place");
-    this.placeName = choice("place-name", places, "Place");
+    this.placeName = choice("place-name", Object.keys(places), "Place");
+    this.one = factor("one");
+    this.oneName = choice("one-name", each, "Robot");
     this.rate = factor("rate");
-    this.rateName = choice("rate-name", rates, "Event");
-    const any = (names, ...row) => Object.keys(names).length > 0 && row;
+    this.rateName = choice("rate-name", Object.keys(rates), "Event");
+    const any = ({ value }, ...row) => value && row;
     refill(
       this.form,
       labelled("Show", this.curve),
       [h("label", { for: "wi-robots", text: "Robots" }), this.robots.field],
       [h("label", { for: "wi-slower", text: "All actions take" }), this.slower.field],
-      any(places, this.placeName, this.place.field),
-      any(rates, this.rateName, this.rate.field),
+      any(this.placeName, this.placeName, this.place.field),
+      any(this.oneName, this.oneName, this.one.field),
+      any(this.rateName, this.rateName, this.rate.field),
     );
     this.place.input.setAttribute("aria-label", "Time of the action in this place");
+    this.one.input.setAttribute("aria-label", "Time of the actions of this robot");
     this.rate.input.setAttribute("aria-label", "How often this event comes");
   }
 
@@ -121,6 +126,7 @@ export class WhatIf {
       slower: power(this.slower),
       places: named(this.placeName, this.place),
       rates: named(this.rateName, this.rate),
+      each: named(this.oneName, this.one),
     };
   }
 
@@ -152,14 +158,21 @@ export class WhatIf {
     }
   }
 
-  /** The longer simulation of what is shown. */
+  /** The exact mean, and the longer simulation, of what is shown. */
   async whole(asked, next) {
     const answer = await post("what_if", { ...asked, whole: true, next }, this.query).catch(
       () => null,
     );
     if (!answer || this.looking || this.closed) return;
     this.job = answer.job;
-    const report = await followJob(answer.job, () => this.job !== answer.job);
+    const report = await followJob(answer.job, ({ result }) => {
+      if (this.job !== answer.job) return true;
+      if (result?.exact && !this.exact) {
+        this.exact = result.exact;
+        this.draw();
+      }
+      return false;
+    });
     if (this.job !== answer.job) return;
     this.job = null;
     const found = report.result?.prediction;
@@ -168,7 +181,18 @@ export class WhatIf {
 
   show(found) {
     this.found = found;
+    if (!found.whole) this.exact = null;
     this.draw();
+  }
+
+  /** What the Markov chain says of a curve. */
+  exactly(name, end) {
+    const { states, throughput, why } = this.exact || {};
+    if (why) return ` No exact answer: ${why}.`;
+    if (!throughput) return "";
+    const pace =
+      name === ALL ? Object.values(throughput).reduce((a, b) => a + b, 0) : throughput[name];
+    return ` Exactly ${number(pace * end)} on average in the long run (Markov chain of ${number(states)} states).`;
   }
 
   draw() {
@@ -193,7 +217,8 @@ export class WhatIf {
     const looked = `${found.runs} runs of ${number(found.seconds)} s`;
     const how = found.whole ? `Simulated: ${looked}.` : `First look: ${looked}.`;
     const changed = found === base ? "" : ` ${span(found.growth[name])} with the change.`;
-    this.says.textContent = `${how} After ${number(end)} s: ${span(base.growth[name])} as it is.${changed}`;
+    const counts = `After ${number(end)} s: ${span(base.growth[name])} as it is.${changed}`;
+    this.says.textContent = `${how} ${counts}${this.exactly(name, end)}`;
     this.section.dataset.shows = found.whole ? "simulated" : "first look";
   }
 }
