@@ -15,7 +15,7 @@ from benchmarks.agreement import draw_schedules
 from gspn_framework_package import execution
 from gspn_framework_package.execution.agreement import config
 
-SCHEDULES = int(os.environ.get("GSPN_SCHEDULES", "400"))
+SCHEDULES = int(os.environ.get("GSPN_SCHEDULES", "200"))
 FAILED = os.path.join(os.path.dirname(__file__), "failed_seeds.txt")
 
 FAILED_AS_LARGE = [

@@ -98,6 +98,7 @@ def test_markings_of_several_words_are_found(places):
     as_in_memory(wide(places), search(wide(places), 2 * LEAST))
 
 
+@pytest.mark.long
 @given(data=st.data())
 @settings(derandomize=True, deadline=None, max_examples=50)
 def test_keys_keep_the_marking_and_are_sorted_after_a_firing(data):
