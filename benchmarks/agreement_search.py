@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import gc
 import json
 import time
 from typing import List, Optional
@@ -86,6 +87,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
     if args.mutant and not mutants:
         raise UsageError("there is no mutant '%s'" % args.mutant)
     total = wrong = 0
+    gc.set_threshold(50_000)  # nearly all that a search makes, it keeps
     with mutants[0].apply() if mutants else contextlib.nullcontext():
         for scope in SCOPES:
             if args.scopes and scope.name not in args.scopes:

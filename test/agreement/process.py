@@ -44,11 +44,45 @@ OLD = 3
 """The number of leaps from which on it makes no difference how long ago something was."""
 
 
+class Copy:
+    """A replica that stays as it is: each one that is taken from it is another's own.
+
+    A walk seldom goes on twice from the same state, and copies take longer than steps. So the first
+    one that is taken is the replica itself, and a second is made by taking the same step again.
+
+    :param again: takes the step that led to this state again.
+    """
+
+    __slots__ = ("_again", "_data", "_first")
+
+    def __init__(self, first: Optional[Replica], again: Callable[[], Replica]) -> None:
+        self._first, self._again, self._data = first, again, b""
+
+    def take(self) -> Replica:
+        """A replica in this state, to be changed."""
+        first, self._first = self._first, None
+        if first is not None:
+            return first
+        if not self._data:
+            first = self._again()
+            self._data = dump(first)
+            return first
+        return load(self._data)
+
+    def keep(self) -> None:
+        """Many will be taken, or none for long."""
+        if self._first is not None and not self._data:
+            self._data, self._first = dump(self._first), None
+
+    def drop(self) -> None:
+        """Probably none will be taken."""
+        self._first = None
+
+
 class Process(NamedTuple):
     """A process and its log."""
 
-    replica: bytes
-    """The replica, pickled."""
+    replica: Copy
     clock: float
     log: str
     """The id of its log, as in the header."""
@@ -92,7 +126,7 @@ class Step(NamedTuple):
     relies: List[Tuple[str, str, Tuple[Any, ...]]]
     """The promises that an accept relies on: robot, log id and ballot."""
     replica: Replica
-    """What :attr:`Process.replica` is a copy of."""
+    """What is taken first from :attr:`Process.replica`."""
 
 
 class Host:
@@ -123,7 +157,7 @@ class Host:
         """A process before it starts, without a log."""
         log = "%s-log%d" % (self.name, len(lost))
         return Process(
-            b"", clock, log, (), 0, lost, log, False, -1, frozenset(), frozenset(), 0, (), 0, False
+            _NOTHING, clock, log, (), 0, lost, log, False, -1, frozenset(), frozenset(), 0, (), 0, False
         )
 
     def give(self, process: Process, given: interface.Input, cut: int, leap: bool = False) -> Step:
@@ -134,9 +168,11 @@ class Host:
         :param leap: whether so much time has passed that timers have run out.
         """
         clock = process.clock + (LEAP if leap else 0.0)
-        replica = load(process.replica)
+        replica = process.replica.take()
         effects = replica.step(given, clock)
-        return self._carry_out(process._replace(clock=clock), replica, effects, cut, given)
+        copy = Copy(replica, lambda: self.give(process, given, cut, leap).replica)
+        after = process._replace(clock=clock, replica=copy)
+        return self._carry_out(after, replica, effects, cut, given)
 
     def start(self, process: Process, trusted: bool = True) -> Step:
         """Kill a process, if it runs, and start it with its log."""
@@ -145,8 +181,11 @@ class Host:
             self.plan, self.robot, "sim", process.log, records, pace=PACE, trusted=trusted
         )
         ids = [str(r["log"]) for r in records if r["kind"] in ("reset", "outage")]
-        process = process._replace(log_id=ids[-1] if ids else process.log, holds=-1, running=())
-        return self._carry_out(process, replica, replica.start(process.clock), -1, None)
+        copy = Copy(replica, lambda: self.start(process, trusted).replica)
+        after = process._replace(
+            replica=copy, log_id=ids[-1] if ids else process.log, holds=-1, running=()
+        )
+        return self._carry_out(after, replica, replica.start(process.clock), -1, None)
 
     def lose_log(self, process: Process) -> Step:
         """Kill a process, and start it without its log."""
@@ -167,7 +206,7 @@ class Host:
     def sync(self, process: Process) -> Step:
         """The log reaches the disk."""
         process = process._replace(synced=len(process.lines))
-        replica = load(process.replica)
+        replica = process.replica.take()
         return Step(process, self.key(process, replica), [], 0, [], [], replica)
 
     # -- effects -----------------------------------------------------------------------------------
@@ -242,7 +281,7 @@ class Host:
         if replica.state.running is None:
             running = ()
         after = process._replace(
-            replica=b"" if halted else dump(replica),
+            replica=_NOTHING if halted else process.replica,
             lines=tuple(lines),
             synced=synced,
             log_id=log_id,
@@ -295,6 +334,13 @@ class Host:
             process.running,
             process.stage,
         )
+
+
+def _no_replica() -> Replica:
+    raise ValueError("a process that does not run takes no step")
+
+
+_NOTHING = Copy(None, _no_replica)
 
 
 def _is_frozen(message: interface.Message, given: Optional[interface.Input]) -> bool:

@@ -23,7 +23,7 @@ import random
 from typing import Any, Dict, FrozenSet, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from agreement.plans import STEERED, another_plan, make_plan
-from agreement.process import Host, Process, Step, load
+from agreement.process import Copy, Host, Process, Step
 from agreement.world import ViolationError
 from gspn_framework_package.execution import log_entries, plan_change
 from gspn_framework_package.execution.agreement import interface
@@ -209,6 +209,8 @@ class Search:
         self._outcomes: Dict[Tuple[int, Action], Outcome] = {}
         self._states: Dict[Tuple[int, str], str] = {}
         self._prologue: List[Action] = []
+        self._newest: Dict[int, Copy] = {}
+        self._keeps = True
         self.begin = self._begin()
 
     # -- the beginning -----------------------------------------------------------------------------
@@ -242,7 +244,7 @@ class Search:
         return team._replace(left=left, sent=0 if scope.begun else team.sent)
 
     def _may_vote(self, team: Team, node: int) -> bool:
-        return load(self.processes[team.processes[node]].replica).may_vote()
+        return self.processes[team.processes[node]].replica.take().may_vote()
 
     # -- one step ----------------------------------------------------------------------------------
 
@@ -346,7 +348,7 @@ class Search:
             sent = 0
             for to, text in step.sent:
                 sent |= 1 << self._number_of(self._addressed_to(action, to, text))
-            new, promised = self._intern(step), step.process.promised
+            new, promised = self._intern(step, action.node), step.process.promised
             found = Outcome(new, sent, step.records, step.slots, step.relies, promised)
             self._outcomes[key] = found
         return found
@@ -398,13 +400,18 @@ class Search:
                 self._hellos |= 1 << number
         return number
 
-    def _intern(self, step: Step) -> int:
+    def _intern(self, step: Step, node: int) -> int:
         number = self._numbers.get(step.key)
         if number is None:
             number = self._numbers[step.key] = len(self.processes)
             self.processes.append(step.process)
             if not step.process.halted:
                 self._check_state(step.replica)
+                if self._keeps:
+                    step.process.replica.keep()
+                elif node in self._newest:
+                    self._newest[node].drop()  # the walk has gone on without it
+                self._newest[node] = step.process.replica
         return number
 
     def _check_state(self, replica: Replica) -> None:
@@ -422,6 +429,7 @@ class Search:
         :param transitions: end after so many.
         :raises Found: a rule is broken.
         """
+        self._keeps = True
         came_from: Dict[Team, Tuple[Optional[Team], Optional[Action]]] = {self.begin: (None, None)}
         level, most = [self.begin], self.transitions + transitions
         while level:
@@ -460,6 +468,7 @@ class Search:
         :raises Found: a rule is broken.
         """
         source = random.Random(seed)
+        self._keeps = False
         most, walks = self.transitions + transitions, 0
         while self.transitions < most:
             team, path = self.begin, []
