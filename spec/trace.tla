@@ -100,10 +100,44 @@ knows(s) ==
   /\ step.what \in {"resume", "new_life"} => Same("incarnation", s.incarnation, step.incarnation)
   /\ step.what = "decide" => Same("decided", s.ledger.log[step.length], step.batch)
 
+(* Tasks. Whom the token game gives a task is left out here; but it may not do to a task what the   *)
+(* entries of the slot do not say. A step has <<task, "waits", robot>> for each that is not done    *)
+(* (robot 0: for none that is with a robot), and <<task, how it ended, after how many other ends>>. *)
+
+\* What the first robot had that knew so many slots.
+tasks_after(slots) ==
+  IF slots = 0 THEN {}
+  ELSE LET steps == Traces[trace] IN
+       steps[SetMin({k \in DOMAIN steps : steps[k].what = "decide" /\ steps[k].length = slots})].tasks
+
+says(batch, part) == UNION {i[part] : i \in Range(batch)}
+
+\* What becomes of a task that was x, in a slot with this batch.
+may_become(x, y, batch) ==
+  LET by_its_robot == \E i \in Range(batch) : i.by = x[3]
+      of_its_robot == \E i \in Range(batch) : i.entry \in {"Join", "Evict"} /\ i.robot = x[3]
+  IN
+  \/ x[2] = "waits" /\ y[2] \in {"cancelled", "late"} /\ x[1] \in says(batch, "ends")
+  \/ x[2] = "waits" /\ y[2] \in {"done", "lost"} /\ x[3] # 0 /\ by_its_robot
+  \/ x[2] = "waits" /\ y[2] = "waits"
+     /\ \/ x[3] \in {0, y[3]} \/ by_its_robot \/ of_its_robot
+        \/ x[1] \in says(batch, "frees") \union says(batch, "makes")
+
+\* A task is in one place or has ended, once; it came in, and never goes without a word.
+lawful(before, batch, after) ==
+  /\ \A x, y \in after : x[1] = y[1] => x = y
+  /\ \A x \in before : x \in after \/ \E y \in after : x[1] = y[1] /\ may_become(x, y, batch)
+  /\ \A y \in after : (\E x \in before : x[1] = y[1]) \/ {y[1], 0} \cap says(batch, "makes") # {}
+
+keeps_tasks ==
+  /\ Same("tasks", tasks_after(step.length), step.tasks)
+  /\ Same("lawful", TRUE, lawful(tasks_after(step.length - 1), step.batch, step.tasks))
+
 TraceNext ==
   \/ TraceStart
   \/ /\ at \in 1..Len(Traces[trace])
      /\ LET p == <<step.robot, 0>> IN took(p) /\ knows(state'[p])
+     /\ step.what = "decide" => keeps_tasks
      /\ at' = at + 1 /\ UNCHANGED trace
      /\ PrintT(<<"took", trace, at>>)
 

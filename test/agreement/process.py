@@ -157,7 +157,21 @@ class Host:
         """A process before it starts, without a log."""
         log = "%s-log%d" % (self.name, len(lost))
         return Process(
-            _NOTHING, clock, log, (), 0, lost, log, False, -1, frozenset(), frozenset(), 0, (), 0, False
+            _NOTHING,
+            clock,
+            log,
+            (),
+            0,
+            lost,
+            log,
+            False,
+            -1,
+            frozenset(),
+            frozenset(),
+            0,
+            (),
+            0,
+            False,
         )
 
     def give(self, process: Process, given: interface.Input, cut: int, leap: bool = False) -> Step:

@@ -465,23 +465,14 @@ class _Run:
         for node in self.random.sample(up, min(len(up), self.random.choice([1, 1, 2]))):
             if node.replica is None:
                 continue
-            found = list(node.replica.ledger.state.tasks())
-            with_robots = [each for each in found if each.robot]
-            if with_robots and self.random.random() < 0.6:
-                found = with_robots
-            names = [each.task.id for each in found] or ["t%d" % max(1, self.world.tasks)]
-            task, what = self.random.choice(names), self.random.random()
-            if what < 0.6:
-                order = self.world.operator(log_entries.CancelTask(task), node)
-                self.cancelled.append((node, order, task))
+            entry = self.world.order_about_task(node.replica, self.random)
+            order = self.world.operator(entry, node)
+            if isinstance(entry, log_entries.CancelTask):
+                self.cancelled.append((node, order, entry.id))
                 self._count("cancel")
-            elif what < 0.8:
-                self.world.operator(log_entries.GiveBack(task), node)
-                self._count("give back")
             else:
-                priority = self.random.choice([-1, 0, 2, 9])
-                self.world.operator(log_entries.PrioritiseTask(task, priority), node)
-                self._count("prioritise")
+                back = isinstance(entry, log_entries.GiveBack)
+                self._count("give back" if back else "prioritise")
 
     def _look_at_cancelled(self) -> None:
         """Check that tasks of which an operator heard that they are cancelled are, and that no task

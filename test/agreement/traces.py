@@ -1,9 +1,10 @@
 """Whether ``spec/agreement.tla`` allows what simulated teams of real replicas do.
 
 A team runs in a simulated network that loses, repeats, delays and reorders messages; its processes
-are suspended, evicted, or killed and started again, with their logs or without. Every step of its consensus is noted:
-what the robot did, and what it then knew. TLC plays the notes on the
-specification (``spec/trace.tla``): each step has to be one of its actions, with the same outcome.
+are suspended, evicted, or killed and started again, with their logs or without. Tasks come in, and orders about
+them. Every step of its consensus is noted: what the robot did, and what it then knew, also where the tasks are.
+TLC plays the notes on the specification (``spec/trace.tla``): each step has to be one of its actions, with the same
+outcome, and no slot may do to a task what its entries do not say.
 
 ``python3 -m agreement.traces --traces N`` checks N of them. With ``--logs FOLDER...``, it checks real
 runs instead: each folder holds the logs of one, written on one machine.
@@ -23,7 +24,7 @@ from pathlib import Path
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple, Type, Union
 from unittest import mock
 
-from agreement.plans import make_plan
+from agreement.plans import STEERED, make_plan
 from agreement.specification import FOLDER, JAR, why_not
 from agreement.world import SimulatedNode, ViolationError, Weather, World
 from gspn_framework_package.execution import log_entries
@@ -36,6 +37,7 @@ from gspn_framework_package.execution.agreement.replication import Replication
 from gspn_framework_package.execution.agreement.state import is_control
 from gspn_framework_package.execution.event_log import EventLog, read_log
 from gspn_framework_package.execution.ledger import Item, Origin
+from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.plan import Synchronisation
 
@@ -67,6 +69,7 @@ class Known(NamedTuple):
     accepted: Optional[Tuple[Ballot, Batch]]
     incarnation: int
     frozen: bool
+    tasks: str = "{}"
 
 
 class Notes:
@@ -81,6 +84,7 @@ class Notes:
         self.robots = {name: number for number, name in enumerate(names, 1)}
         self.steps: Trace = []
         self.logs: Dict[str, List[str]] = {name: [] for name in names}  # ids, as they appear
+        self.tasks: Dict[str, int] = {}  # the numbers of tasks, as they appear
         self.busy: List[str] = []  # what a robot does that is one step of the specification
         self.ended = False  # something happened that traces do not know
 
@@ -96,9 +100,47 @@ class Notes:
             name = "GiveBack"  # the order that the specification knows again and again
         return (
             '[entry |-> "%s", robot |-> %d, life |-> %d, forced |-> FALSE, by |-> %d, '
-            "incarnation |-> %d, number |-> %d, log |-> %d, told_at |-> 0, before |-> <<>>]"
-            % (name, of, life, by, incarnation, number, self.log(robot, log))
+            "incarnation |-> %d, number |-> %d, log |-> %d, told_at |-> 0, before |-> <<>>, %s]"
+            % (
+                name,
+                of,
+                life,
+                by,
+                incarnation,
+                number,
+                self.log(robot, log),
+                self._says(item.entry),
+            )
         )
+
+    def _says(self, entry: log_entries.Entry) -> str:
+        """What an entry says about tasks: which may come in (0: one that comes again and again), end,
+        and leave the hands of robots."""
+        makes, ends, frees = "", "", ""
+        if isinstance(entry, log_entries.Submit):
+            makes = ends = str(self._task(entry.id))
+            if entry.replaces:
+                ends += ", %d" % self._task(entry.replaces)
+        elif isinstance(entry, log_entries.TaskDue):
+            makes = "0"
+        elif isinstance(entry, log_entries.CancelTask):
+            ends = str(self._task(entry.id))
+        elif isinstance(entry, log_entries.GiveBack):
+            frees = str(self._task(entry.id))
+        return "makes |-> {%s}, ends |-> {%s}, frees |-> {%s}" % (makes, ends, frees)
+
+    def _task(self, name: str) -> int:
+        return self.tasks.setdefault(name, len(self.tasks) + 1)
+
+    def whereabouts(self, team: TeamState) -> str:
+        """Where the tasks are that a team knows: with a robot, nowhere else (0), or how they ended,
+        and after how many other ends."""
+        found = [(each.task.id, "waits", self.robots.get(each.robot, 0)) for each in team.tasks()]
+        ended = [each.id for each in team.ended_tasks]
+        for at, each in enumerate(team.ended_tasks):
+            found.append((each.id, each.outcome, ended[:at].count(each.id)))
+        texts = ['<<%d, "%s", %d>>' % (self._task(name), how, of) for name, how, of in found]
+        return "{%s}" % ", ".join(texts)
 
     def log(self, robot: str, id_: str) -> int:
         """The number of a log of a robot, of which this is the id, or its beginning."""
@@ -141,6 +183,7 @@ class Notes:
                 state.accepted,
                 state.incarnation,
                 state.is_frozen(),
+                self.whereabouts(state.ledger.state) if what == "decide" else "{}",
             ),
         )
 
@@ -157,7 +200,7 @@ class Notes:
             accepted = "<<%s, %s>>" % (self._ballot(held), self._batch(batch.items))
         self.steps.append(
             '[what |-> "%s", robot |-> %d, ballot |-> %s, batch |-> %s, length |-> %d, '
-            "promised |-> %s, accepted |-> %s, incarnation |-> %d, frozen |-> %s]"
+            "promised |-> %s, accepted |-> %s, incarnation |-> %d, frozen |-> %s, tasks |-> %s]"
             % (
                 what,
                 self.robots[robot],
@@ -168,6 +211,7 @@ class Notes:
                 accepted,
                 known.incarnation,
                 str(known.frozen).upper(),
+                known.tasks,
             )
         )
 
@@ -281,6 +325,11 @@ def traced(seed: int, robots: int, steps: int = 60, partial: bool = False) -> Tr
         _stop_sometimes(world, source, notes)
         if partial:
             _order_sometimes(world, source)
+        if plan.submissions:
+            world.steered = plan is make_plan(STEERED, robots, partial, evict_after, 0.0, False)
+            world.at(0.1, lambda: world.publish_tasks(0.05))
+            world.at(0.1, lambda: world.tell_time(0.05))
+            world.at(0.2, lambda: _order_about_tasks(world, source))
         world.run(6.0, lambda: notes.ended or len(notes.steps) >= steps)
     return notes.steps[:steps]
 
@@ -320,6 +369,14 @@ def _order_sometimes(world: World, source: random.Random) -> None:
     order = source.choice((log_entries.Pause, log_entries.Resume))
     world.operator(order(name), world.nodes[name])
     world.at(world.now + source.uniform(0.1, 2.0), lambda: _order_sometimes(world, source))
+
+
+def _order_about_tasks(world: World, source: random.Random) -> None:
+    """Order a robot now and then what is to be done with a task."""
+    node = source.choice(list(world.nodes.values()))
+    if node.replica is not None:
+        world.operator(world.order_about_task(node.replica, source), node)
+    world.at(world.now + source.uniform(0.02, 0.2), lambda: _order_about_tasks(world, source))
 
 
 BEYOND = ("reset", "outage", "forced", "snapshot")
@@ -367,7 +424,7 @@ def traced_logs(logs: Sequence[EventLog], steps: int = 300) -> Tuple[Trace, int,
             continue
         ballot, mine = Ballot.from_json(record["ballot"]), record["ballot"][1] == robot
         items: Sequence[Item] = ()
-        length, promised, accepted, incarnation, _ = known[robot]
+        length, promised, accepted, incarnation, *_ = known[robot]
         if kind == "promised":
             what = "propose" if mine else "promise"
             promised = max(promised, ballot)
@@ -403,7 +460,16 @@ def check(
         )
         (folder / "traces.cfg").write_text(_configuration(robots, partial, holds), "utf-8")
         done = subprocess.run(
-            ["java", "-XX:+UseSerialGC", "-Xss64m", "-cp", str(JAR), "tlc2.TLC", "-deadlock"]
+            [
+                "java",
+                "-XX:+UseSerialGC",
+                "-XX:TieredStopAtLevel=1",
+                "-Xss64m",
+                "-cp",
+                str(JAR),
+                "tlc2.TLC",
+                "-deadlock",
+            ]
             + ["-workers", "1", "-config", "traces.cfg", "trace.tla"],
             cwd=scratch,
             stdout=subprocess.PIPE,

@@ -629,6 +629,20 @@ class World:
             task = task._replace(replaces="t%d" % self.random.randint(1, self.tasks - 1))
         return task
 
+    def order_about_task(self, replica: Replica, source: random.Random) -> log_entries.TaskOrder:
+        """An order about a task, often about one that robots have in hand."""
+        found = list(replica.ledger.state.tasks())
+        with_robots = [each for each in found if each.robot]
+        if with_robots and source.random() < 0.6:
+            found = with_robots
+        names = [each.task.id for each in found] or ["t%d" % max(1, self.tasks)]
+        task, what = source.choice(names), source.random()
+        if what < 0.6:
+            return log_entries.CancelTask(task)
+        if what < 0.8:
+            return log_entries.GiveBack(task)
+        return log_entries.PrioritiseTask(task, source.choice([-1, 0, 2, 9]))
+
     def tell_time(self, every: float) -> None:
         """Tell every robot now and then what time it is, in ms; their clocks differ."""
         for node in self.alive():
