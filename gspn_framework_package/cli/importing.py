@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.net_input import print_notes
@@ -58,4 +59,5 @@ def run(args: argparse.Namespace) -> int:
         "%s: %d places, %d transitions; %s"
         % (args.output, len(made.net.places), len(made.net.transitions), made.actions)
     )
+    print("Next: gspn check %s" % shlex.quote(args.output))
     return 0

@@ -127,6 +127,11 @@ def _failures_of(path: str) -> Iterator[None]:
                 os.path.abspath(path)
             ):
                 where = (frame.filename, frame.lineno or 0)
+        if isinstance(error, ModuleNotFoundError):
+            raise RootError(
+                "it needs the Python library '%s', which %s has not" % (error.name, sys.executable),
+                where,
+            ) from error
         raise RootError("it fails: %s: %s" % (type(error).__name__, error), where) from error
 
 
@@ -163,6 +168,7 @@ def _watched(lines: Optional[Dict[int, _Line]]) -> Iterator[None]:
         replace(py_trees.trees.BehaviourTree, "__init__", stopping)
     with contextlib.suppress(ImportError):
         smach = importlib.import_module("smach")
+        replace(smach, "logdebug", lambda _: lambda _: None)  # without ROS, it prints
         replace(smach.State, "__init__", noting)
         for name in ("StateMachine", "Concurrence", "Iterator"):
             replace(getattr(smach, name), "execute", stopping)

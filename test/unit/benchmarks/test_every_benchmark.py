@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import plans
+from benchmarks import first_ten_minutes, plans
+from gspn_framework_package.cli.main import VERBS
 
 FOLDER = Path(__file__).parents[3] / "benchmarks"
 PROGRAMS = sorted(
@@ -50,3 +51,12 @@ def test_the_files_that_it_names_are_there(name):
     for path in values:
         if isinstance(path, Path):
             assert path.exists()
+
+
+@pytest.mark.parametrize("name", [n for n, who in first_ten_minutes.PEOPLE.items() if who.page])
+def test_the_page_that_somebody_reads_first_has_commands(name, tmp_path):
+    person = first_ten_minutes.PEOPLE[name]
+    steps = first_ten_minutes.steps_of(person, tmp_path)
+    verbs = [line.split()[1] for line, _ in steps if line.startswith("gspn ")]
+    assert len(verbs) >= 3 and set(verbs) <= set(VERBS)
+    assert {v for v in verbs if v not in ("draw", "convert")} <= set(first_ten_minutes.EXPECTED)

@@ -141,6 +141,7 @@ def test_a_part_that_is_one_action_is_named_with_its_line_and_why(made):
         ("x = 1\n", "", "no variables that are a tree or a machine"),
         ("x = 1\n", "make", "there is no 'make' in it"),
         ("x = 1\n\n1 / 0\n", "", "tree.py:3: it fails: ZeroDivisionError: division by zero"),
+        ("import nobody_has_it\n", "", "tree.py:1: it needs the Python library 'nobody_has_it'"),
         ("x = (\n", "", "tree.py:1: it fails: SyntaxError"),
         ("def main():\n    raise SystemExit(3)\n", "", "tree.py:2: it fails: SystemExit: 3"),
         ("import os\nos._exit(7)\n", "", "it ended the process that read it (exit code 7)"),
