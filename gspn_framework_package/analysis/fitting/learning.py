@@ -59,11 +59,11 @@ WITHIN = 0.05
 """What half of a 95 % interval may be before more log is asked for; see :func:`.needs.find_needs`.
 """
 
-_DIFFER = "the robots' %s"
-"""The kind of test whether robots differ, with the key of the plan file."""
+_DIFFER = {key: "the robots' " + key for key in TIME_KEYS}
+"""Key of the plan file -> the kind of test whether robots differ in it."""
 
 _SIGNIFICANT = 0.05
-"""The joint level of all tests of one kind whose results become notes."""
+"""The joint level of all tests of a kind that become notes. That robots differ is one kind."""
 
 
 class OutcomeFit(NamedTuple):
@@ -317,21 +317,22 @@ class _Learning:
         if unseen:
             self.notes.append("no attempt was seen in %s" % ", ".join(unseen))
         rates = self._rates(events)
-        self._report_doubts()
-        own = self._own(learned)
+        own = self._own(learned, self._report_doubts())
         rare = {name: event.firings for name, event in events.items() if name not in rates}
         recorded = sum(end - begin for begin, end in spans.values())
         return FitReport(places, rates, tuple(self.notes), tuple(unseen), rare, recorded, own)
 
-    def _own(self, learned: Mapping[str, _OfPlace]) -> Dict[str, Dict[str, Dict[str, PlaceFit]]]:
-        """What robots have for themselves, as in :class:`FitReport`."""
+    def _own(
+        self, learned: Mapping[str, _OfPlace], clear: float
+    ) -> Dict[str, Dict[str, Dict[str, PlaceFit]]]:
+        """What robots have for themselves, as in :class:`FitReport`, where they differ with a
+        p-value of at most ``clear``."""
         own: Dict[str, Dict[str, Dict[str, PlaceFit]]] = {}
         team = {robot.name for robot in self.plan.robots}
-        for key in TIME_KEYS:
-            tests = len(self._doubts.get(_DIFFER % key, ()))
+        for key, kind in _DIFFER.items():
             for place, of_place in learned.items():
-                ps = [p for p, _ in of_place.doubts.get(_DIFFER % key, ())]
-                for robot, its in of_place.robots.items() if ps and _is_clear(ps[0], tests) else ():
+                ps = [p for p, _ in of_place.doubts.get(kind, ())]
+                for robot, its in of_place.robots.items() if ps and ps[0] <= clear else ():
                     if robot in team:
                         own.setdefault(robot, {}).setdefault(key, {})[place] = its
         return own
@@ -345,8 +346,8 @@ class _Learning:
         generator = np.random.Generator(np.random.PCG64(source))
         found = self._place(place, attempts, generator)
         robots: Dict[str, PlaceFit] = {}
-        differ = [p for key in TIME_KEYS for p, _ in self._doubts.get(_DIFFER % key, ())]
-        if any(_is_clear(p, 1) for p in differ):
+        differ = [p for kind in _DIFFER.values() for p, _ in self._doubts.get(kind, ())]
+        if min(differ, default=1.0) < _SIGNIFICANT:
             for robot in sorted({a.robot for a in attempts}):
                 alone = _Learning(self.plan, self.choice, self.seed, 0)
                 robots[robot] = alone._place(place, _of(attempts, robot), generator)
@@ -434,7 +435,7 @@ class _Learning:
             slow, fast = max(means, key=means.__getitem__), min(means, key=means.__getitem__)
             both = slow, means[slow], fast, means[fast]
             text = "%s: the robots differ: %s takes %.3g s on average, %s %.3g s"
-            self._doubt(_DIFFER % "durations", p, text % (place, *both))
+            self._doubt(_DIFFER["durations"], p, text % (place, *both))
         middle = _middles([*done, *cut])
         halves = [
             _sample(
@@ -463,7 +464,7 @@ class _Learning:
         if len(counts) > 1 and len(names) > 1:
             p = shares_differ([[c[name] for name in names] for c in counts.values()])
             text = "%s: the robots differ in their %s (--per-robot learns those of each)"
-            self._doubt(_DIFFER % key, p, text % (place, key))
+            self._doubt(_DIFFER[key], p, text % (place, key))
 
     def _compare_failed(
         self, place: str, done: Sequence[Attempt], failed: Sequence[Attempt]
@@ -555,18 +556,27 @@ class _Learning:
     def _doubt(self, kind: str, p: float, text: str) -> None:
         self._doubts.setdefault(kind, []).append((p, text))
 
-    def _report_doubts(self) -> None:
-        for doubts in self._doubts.values():
-            tests = len(doubts)
+    def _report_doubts(self) -> float:
+        """Note the significant doubts. Returns the largest p-value with which robots differ."""
+        robots = [doubt for kind in _DIFFER.values() for doubt in self._doubts.pop(kind, ())]
+        for doubts in (*self._doubts.values(), robots):
+            clear = _largest_clear([p for p, _ in doubts])
             for p, text in doubts:
-                if _is_clear(p, tests):
-                    allowed = " (p = %.2g; %d such tests are allowed for)" % (p, tests)
+                if p <= clear:
+                    allowed = " (p = %.2g; %d such tests are allowed for)" % (p, len(doubts))
                     self.notes.append(text + allowed)
+        return clear
 
 
-def _is_clear(p: float, tests: int) -> bool:
-    """Whether one of so many tests of a kind is significant."""
-    return p * tests < _SIGNIFICANT
+def _largest_clear(ps: Sequence[float]) -> float:
+    """The largest p-value that is significant among all of these; -1 if none is (S. Holm, *A Simple
+    Sequentially Rejective Multiple Test Procedure*, Scandinavian Journal of Statistics 6, 1979)."""
+    clear = -1.0
+    for rank, p in enumerate(sorted(ps)):
+        if p * (len(ps) - rank) >= _SIGNIFICANT:
+            break
+        clear = p
+    return clear
 
 
 def _sample(done: Iterable[Attempt], cut: Iterable[Attempt] = ()) -> Sample:

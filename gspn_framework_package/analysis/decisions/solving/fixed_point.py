@@ -42,6 +42,10 @@ _STRIDE = 2
 _CHECKED = 6
 """The drift is computed after this many strides."""
 
+_ONE_WAY = 4
+"""Sweeps run against the order of discovery, in which most values depend on later states. If the
+spread has not halved in this many checks, every other one runs the other way."""
+
 _MOST = 20_000
 """Largest number of sweeps."""
 
@@ -164,10 +168,11 @@ class _Search:
         weight = math.sqrt(size) / pace
         values = values.copy()
         best, best_spread, best_at = values, math.inf, 0
+        to_and_fro = False
         for stride in range(1, most // _STRIDE + 1):
             image = values.copy()
-            for _ in range(_STRIDE):
-                model.sweep(image, self._gain)
+            for turn in range(_STRIDE):
+                model.sweep(image, self._gain, backward=turn % 2 == 0 or not to_and_fro)
             self._sweeps += _STRIDE
             if stride % _CHECKED == 0 or stride == most // _STRIDE:
                 kept = image.copy()
@@ -179,8 +184,11 @@ class _Search:
                     best_at = stride
                 if spread < best_spread:
                     best, best_spread = kept, spread
-                if stride - best_at > _PATIENCE * _CHECKED:
+                waited = stride - best_at
+                if waited > _PATIENCE * _CHECKED:
                     break
+                if waited > _ONE_WAY * _CHECKED and not to_and_fro:
+                    to_and_fro, best_at = True, stride
                 if not math.isfinite(spread) or spread > 1e4 * best_spread:
                     accelerated.forget()
                     values = best.copy()
@@ -262,19 +270,20 @@ class _Search:
             for _ in range(2):
                 found += factor.solve(constant - bordered @ found)
             return np.where(others, found, 0.0), float(found[reference])
-        inside = np.flatnonzero(np.arange(len(model)) != reference)
-        among = matrix[inside][:, inside]
-        solved = [
-            solve_linear(among, model.exits[inside], part[inside], backward=True, watch=self._watch)
-            for part in (constant, time)
-        ]
-        earned, passed = np.zeros(len(model)), np.zeros(len(model))
-        earned[inside], passed[inside] = solved[0].values, solved[1].values
-        back = matrix[reference]
-        gain = float(
-            (constant[reference] + (back @ earned)[0]) / (time[reference] + (back @ passed)[0])
-        )
-        return earned - gain * passed, gain
+        # The share of time in each state gives the gain. The bias is relative to a state that is
+        # often visited: to one that never is, the way is so long that no digits would be left.
+        often = solve_linear(matrix.T, model.exits, None, watch=self._watch).values
+        gain = float((often @ constant) / (often @ time))
+        inside = np.flatnonzero(np.arange(len(model)) != int(np.argmax(often * model.exits)))
+        bias = np.zeros(len(model))
+        bias[inside] = solve_linear(
+            matrix[inside][:, inside],
+            model.exits[inside],
+            (constant - gain * time)[inside],
+            backward=True,
+            watch=self._watch,
+        ).values
+        return bias, gain
 
     def _one_class(self, chosen: Indices) -> Indices:
         """Change the policy so that only the best of its recurrent classes remains."""

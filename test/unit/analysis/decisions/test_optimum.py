@@ -10,8 +10,18 @@ from generated_automata import automata, automaton_of, best_of, rewarded, value_
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
+from benchmarks.decisions import automaton_of as automaton_of_net
+from benchmarks.literature.chains import tandem
+from gspn_framework_package.analysis.chain import Chain
 from gspn_framework_package.analysis.decisions.aims import Aim
-from gspn_framework_package.analysis.decisions.solving import evaluate_policy, optimum
+from gspn_framework_package.analysis.decisions.automaton import Rewards
+from gspn_framework_package.analysis.decisions.solving import (
+    evaluate_policy,
+    fixed_point,
+    optimum,
+)
+from gspn_framework_package.analysis.solution.steady_state import steady_state
+from gspn_framework_package.analysis.state_space import explore
 from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError
 
 EXAMPLES = int(os.environ.get("GSPN_DECISION_EXAMPLES", "40"))
@@ -156,6 +166,25 @@ def test_howards_taxi():
     assert best.lower == pytest.approx(13.3445378, abs=1e-6)
     assert best.upper - best.lower <= 1e-9 * best.upper
     assert best.row_of[:3].tolist() == [1, 4, 6]  # the stand, in each town
+
+
+@pytest.mark.parametrize("sweeps", [24, 20_000])
+def test_a_long_run_that_hardly_ever_comes_back_to_its_start(monkeypatch, sweeps):
+    """Full queues: the empty one, where the run begins, has a share of time of 1e-60. Few sweeps
+    leave the rest to policies, which are too large for LU here."""
+    net = tandem(31)
+    space = explore(net)
+    first, second = (net.place_index[name] for name in ("first", "second"))
+    customers = (space.store.column(first) + space.store.column(second)).astype(float)
+    automaton = automaton_of_net(space)
+    for name, value in (("_SMALL", 0), ("_DIRECT", 0), ("_MOST", sweeps)):
+        monkeypatch.setattr(fixed_point, name, value)
+    rewards = Rewards(customers, np.zeros(len(automaton.targets)))
+    found = optimum(automaton, Aim.LONG_RUN, rewards)
+    chain = Chain.of(space)
+    value = float(steady_state(chain).distribution @ customers[chain.states])
+    assert found.lower <= value * (1 + 1e-12) and value * (1 - 1e-12) <= found.upper
+    assert found.upper - found.lower <= 1e-6 * value
 
 
 def test_a_discounted_machine_is_replaced_in_time():
