@@ -1,6 +1,6 @@
 """Optimal policies against Storm, in one run.
 
-``python3 -m benchmarks.decisions [--quick] [--repeat N] [--markdown FILE]
+``python3 -m benchmarks.decisions [--quick] [--whole] [--repeat N] [--markdown FILE]
 [--json FILE]``
 
 Each measurement runs in its own process; each is repeated, in turns, and the fastest counts. Both
@@ -8,13 +8,17 @@ build the Markov automaton from the same net and find the best policy: ours with
 relative width of 1e-6, Storm with its sound methods (1e-6 too) and with its plain default. Compiled
 code is loaded before the clock starts. The waiting patrol is a plan, whose automaton Storm reads
 from a file; building it is not counted on either side. Where stormpy is not installed, or does not
-come to an end in three minutes, its columns stay empty.
+come to an end in ``--patience`` seconds, its columns stay empty.
+
+``--whole`` compares whole processes, from start to end, on other nets. Then the fastest is the one
+that took the least processor time: the machine may be busy with something else.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import resource
 import subprocess
 import sys
 import tempfile
@@ -24,6 +28,7 @@ from typing import Any, Dict, List, NamedTuple, Optional, Sequence
 
 import numpy as np
 
+from benchmarks.decision_nets import delivery, rendezvous, rooms
 from benchmarks.harness.processes import peak_mb
 from benchmarks.inspection_grid import inspection_grid
 from benchmarks.machine import (
@@ -42,20 +47,20 @@ from gspn_framework_package.analysis.state_space.rated_graph import firing_rate
 from gspn_framework_package.analysis.state_space.space import StateSpace
 from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.formats.plan_file import read_plan
-from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.net import Net
 
 PATROL = Path(plans_folder(), "patrol", "plan.json")
 
 
 class Case(NamedTuple):
-    """A problem: its kind, the number of robots, a further size, and whether the mean time to a
-    condition is asked instead of a share of time."""
+    """A problem: its kind, the number of robots, a further size, whether the mean time to a
+    condition is asked instead of a share of time, and how much there is of what robots work on."""
 
     kind: str
     robots: int
     size: int = 0
     time_to: bool = False
+    room: int = 0
 
     @property
     def title(self) -> str:
@@ -63,6 +68,9 @@ class Case(NamedTuple):
         aim = "mean time to all inspected" if self.time_to else "share of time"
         if self.kind == "patrol":
             return "patrol with WAIT, checks per second"
+        if self.room:
+            told = self.kind, self.robots, self.size, self.room
+            return "%s, %d robots, %d places for %d each" % told
         what = "grid 3x3, %d levels" % self.size if self.kind == "grid" else "3 rooms"
         return "%s, %d robot%s, %s" % (what, self.robots, "s" * (self.robots > 1), aim)
 
@@ -77,6 +85,20 @@ CASES = (
     Case("patrol", 4),
 )
 QUICK = (Case("grid", 1, 4), Case("grid", 1, 4, True), Case("rooms", 3))
+WHOLE = (
+    Case("delivery", 2, 3, room=4),
+    Case("grid", 1, 5),
+    Case("delivery", 3, 3, room=4),
+    Case("rendezvous", 4, 4, room=2),
+    Case("delivery", 3, 4, room=3),
+    Case("rendezvous", 5, 4, room=3),
+    Case("grid", 2, 4),
+    Case("delivery", 4, 4, room=3),
+    Case("rendezvous", 6, 4, room=3),
+    Case("grid", 2, 12),
+)
+"""With ``--whole``: from 5,000 to five million states."""
+
 PATIENCE = 180
 """Seconds after which a measurement is given up."""
 
@@ -90,6 +112,8 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--quick", action="store_true", help="small nets only")
+    parser.add_argument("--whole", action="store_true", help="whole processes, other nets")
+    parser.add_argument("--patience", type=float, default=PATIENCE, help="s (default %(default)s)")
     parser.add_argument("--large", action="store_true", help="also the largest one, ours alone")
     parser.add_argument("--repeat", type=int, default=2, metavar="N", help="(default 2)")
     parser.add_argument("--markdown", metavar="FILE", help="write the table there too")
@@ -98,15 +122,17 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     args = parser.parse_args(arguments)
     if args.worker:
         engine, text = args.worker
-        print(json.dumps(_work(engine, Case(*json.loads(text)))))
+        print(json.dumps(_work(engine, Case(*json.loads(text)), args.whole)))
         return 0
     rows = []
-    for case in QUICK if args.quick else CASES:
-        rows.append(_measured(case, ("storm", "ours", "plain"), args.repeat))
+    cases = (WHOLE[:2] if args.quick else WHOLE) if args.whole else QUICK if args.quick else CASES
+    engines = ("storm", "ours") if args.whole else ("storm", "ours", "plain")
+    for case in cases:
+        rows.append(_measured(case, engines, args.repeat, args.patience, args.whole))
     if args.large:
-        rows.append(_measured(LARGEST, ("ours",), 1))
+        rows.append(_measured(LARGEST, ("ours",), 1, args.patience))
     machine = describe_machine((*LIBRARIES, "stormpy"))
-    text = "%s\n\n%s" % (machine_line(machine), _table(rows))
+    text = "%s\n\n%s" % (machine_line(machine), (_whole_table if args.whole else _table)(rows))
     print(text)
     if args.markdown:
         Path(args.markdown).write_text(text + "\n", encoding="utf-8")
@@ -119,43 +145,13 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
 # -- problems --------------------------------------------------------------------------------------
 
 
-def rooms(robots: int) -> Net:
-    """Robots clean three rooms, each of which gets dirty by and by, up to three heaps: a robot
-    chooses a room that is not full, or rests."""
-    builder = NetBuilder().place("free", tokens=robots).place("resting")
-    builder.immediate("rest", weight=0, inputs="free", outputs="resting")
-    builder.exponential("rested", rate=0.5, servers=None, inputs="resting", outputs="free")
-    for room, (dirt, clean) in enumerate(((0.3, 0.5), (0.2, 0.3), (0.1, 0.2))):
-        going, cleaning = "going_%d" % room, "cleaning_%d" % room
-        tidy, dirty, space = "tidy_%d" % room, "dirty_%d" % room, "space_%d" % room
-        builder.place(going).place(cleaning).place(tidy, tokens=3).place(dirty)
-        builder.place(space, tokens=min(robots, 2))
-        builder.exponential("soil_%d" % room, rate=dirt, inputs=tidy, outputs=dirty)
-        builder.immediate("go_%d" % room, weight=0, inputs=["free", space], outputs=going)
-        builder.exponential(
-            "arrive_%d" % room, rate=0.4, servers=None, inputs=going, outputs=cleaning
-        )
-        builder.exponential(
-            "clean_%d" % room,
-            rate=clean,
-            servers=None,
-            inputs=[cleaning, dirty],
-            outputs=["free", space, tidy],
-        )
-        builder.exponential(
-            "leave_%d" % room,
-            rate=0.1,
-            servers=None,
-            inputs=cleaning,
-            outputs=["free", space],
-        )
-    return builder.build()
-
-
 def net_of(case: Case) -> Net:
     """The net of a case."""
     if case.kind == "grid":
         return inspection_grid(3, case.robots, case.size)
+    if case.room:
+        made = delivery if case.kind == "delivery" else rendezvous
+        return made(case.robots, case.size, case.room)
     return rooms(case.robots)
 
 
@@ -165,10 +161,13 @@ def condition_of(case: Case, net: Net) -> str:
     names = [p.name for p in net.places]
     if case.time_to:
         return " & ".join("(%s >= 1)" % n for n in names if n.startswith("done_"))
-    start = "inspecting_" if case.kind == "grid" else "tidy_"
-    if case.kind == "grid":
-        return " | ".join("(%s >= 1)" % n for n in names if n.startswith(start))
-    return " & ".join("(%s >= 2)" % n for n in names if n.startswith(start))
+    start, joined, least = {
+        "grid": ("inspecting_", " | ", 1),
+        "rooms": ("tidy_", " & ", 2),
+        "delivery": ("space_", " & ", 1),
+        "rendezvous": ("pair_", " | ", 1),
+    }[case.kind]
+    return joined.join("(%s >= %d)" % (n, least) for n in names if n.startswith(start))
 
 
 def automaton_of(space: StateSpace) -> Automaton:
@@ -239,52 +238,62 @@ def _patrol() -> WaitingPatrol:
 Measurement = Dict[str, Any]
 
 
-def _measured(case: Case, engines: Sequence[str], repeat: int) -> Measurement:
+def _measured(
+    case: Case, engines: Sequence[str], repeat: int, patience: float, whole: bool = False
+) -> Measurement:
     row: Measurement = {"case": case.title}
     for turn in range(repeat):
         for engine in engines:
             if turn and (engine not in row or row[engine]["total"] > 20):
                 continue
-            found = _measure(engine, case)
-            if found is not None and (engine not in row or found["total"] < row[engine]["total"]):
+            found = _measure(engine, case, patience, whole)
+            key = "processor" if whole else "total"
+            if found is not None and (engine not in row or found[key] < row[engine][key]):
                 row[engine] = found
     print("%s: %s" % (case.title, {e: row.get(e) for e in engines}), file=sys.stderr)
     return row
 
 
-def _measure(engine: str, case: Case) -> Optional[Measurement]:
-    command = [sys.executable, "-m", "benchmarks.decisions"]
+def _measure(engine: str, case: Case, patience: float, whole: bool) -> Optional[Measurement]:
+    command = [sys.executable, "-m", "benchmarks.decisions", *(["--whole"] if whole else [])]
+    before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     try:
         done = subprocess.run(
             [*command, "--worker", engine, json.dumps(case)],
             capture_output=True,
             text=True,
-            timeout=PATIENCE,
+            timeout=patience,
             check=False,
         )
     except subprocess.TimeoutExpired:
-        print("%s, %s: given up after %d s" % (case.title, engine, PATIENCE), file=sys.stderr)
+        print("%s, %s: given up after %d s" % (case.title, engine, patience), file=sys.stderr)
         return None
     if done.returncode:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
         print("%s, %s: %s" % (case.title, engine, last), file=sys.stderr)
         return None
     result: Measurement = json.loads(done.stdout.splitlines()[-1])
+    if whole:
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        result["total"] = time.perf_counter() - start
+        result["processor"] = sum(after[:2]) - sum(before[:2])
     return result
 
 
-def _work(engine: str, case: Case) -> Measurement:
-    if engine == "ours":
-        _ours(Case("grid", 1, 4))  # loads all code
-        _ours(Case("grid", 1, 4, True))
+def _work(engine: str, case: Case, whole: bool) -> Measurement:
+    if engine != "ours":
+        return _storm(case, engine == "storm")
+    if not whole:
+        _ours(Case("grid", 1, 4), "numba")  # loads all code
+        _ours(Case("grid", 1, 4, True), "numba")
         if case.kind != "patrol":
             explore(net_of(case), engine="numba", limit=100)
-        return _ours(case)
-    return _storm(case, engine == "storm")
+    return _ours(case, "auto" if whole else "numba")
 
 
-def _ours(case: Case) -> Measurement:
-    import numba  # noqa: F401  # large automata are solved by compiled loops: load them
+def _ours(case: Case, engine: str) -> Measurement:
+    if engine == "numba":
+        import numba  # noqa: F401  # large automata are solved by compiled loops: load them
 
     start = time.perf_counter()
     goal: Optional[Booleans] = None
@@ -294,7 +303,7 @@ def _ours(case: Case) -> Measurement:
         start = time.perf_counter()
     else:
         net = net_of(case)
-        space = explore(net, engine="numba", limit=10**8)
+        space = explore(net, engine=engine, limit=10**8)
         holds = space.holds(condition_of(case, net).replace("&", "and").replace("|", "or"))
         automaton = automaton_of(space)
         rewards = Rewards(holds.astype(float), np.zeros(space.arcs))
@@ -358,6 +367,30 @@ def _storm(case: Case, sound: bool) -> Measurement:
 
 
 # -- reporting -------------------------------------------------------------------------------------
+
+
+def _whole_table(rows: List[Measurement]) -> str:
+    head = ["problem", "states"]
+    head += [name + what for what in (" s", " processor s", " MB") for name in ("ours", "Storm")]
+    head += ["processor: Storm / ours", "memory: ours / Storm", "value", "Storm differs by"]
+    keys = "total", "processor", "peak_mb"
+    cells = []
+    for row in rows:
+        ours, storm = row.get("ours", {}), row.get("storm", {})
+        both = bool(ours and storm)
+        value = ours.get("value")
+        cells.append(
+            [
+                row["case"],
+                ours.get("states"),
+                *(of.get(key) for key in keys for of in (ours, storm)),
+                storm["processor"] / ours["processor"] if both else None,
+                ours["peak_mb"] / storm["peak_mb"] if both else None,
+                None if value is None else "%.9g" % value,
+                abs(storm["value"] - value) / abs(value) if both else None,
+            ]
+        )
+    return table(head, cells)
 
 
 def _table(rows: List[Measurement]) -> str:

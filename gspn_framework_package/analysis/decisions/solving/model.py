@@ -26,7 +26,7 @@ from gspn_framework_package.analysis.decisions.solving.graphs import Arrows
 from gspn_framework_package.analysis.graph import longest_levels
 from gspn_framework_package.model.errors import LimitError
 
-_WORTH_LOADING = 300_000
+_WORTH_LOADING = 10_000
 """Number of arcs above which compiled loops save more time than loading them takes."""
 
 _SETTLED = 5e-16
