@@ -11,12 +11,14 @@ account for chance in the run and for the uncertainty about the plan. Short logs
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
-from typing import Dict, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Callable, Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
+from gspn_framework_package.analysis import quantiles
 from gspn_framework_package.analysis.arrays import Booleans, Floats
 from gspn_framework_package.analysis.executors import Executor, LocalExecutor, WorkItem, Workload
 from gspn_framework_package.analysis.simulation import machine, simulate
@@ -48,6 +50,9 @@ PREDICTION_PATIENCE = 10.0
 """A run that reached its condition is compared with runs that may take this many times as long."""
 
 _NORMAL = 1.959963984540054
+
+_Normal = Callable[[], float]
+"""Draws from the standard normal distribution."""
 
 
 class Span(NamedTuple):
@@ -106,8 +111,8 @@ def predict(
     uncertain = is_uncertain(spans[0].plan)
     workload = Workload(tuple, _play_group, tuple(spans))
 
-    def group(number: int, size: int, *, compiled: bool) -> WorkItem:
-        parameters = draw_parameters(spans[0].plan, generator) if uncertain else None
+    def group(number: int, size: int, normal: _Normal, *, compiled: bool) -> WorkItem:
+        parameters = draw_parameters(spans[0].plan, generator, normal) if uncertain else None
         told = float(number if uncertain else 0)
         return WorkItem(workload, _Group(parameters, size, seed + number, told, compiled), size)
 
@@ -117,7 +122,8 @@ def predict(
     wanted = PREDICTION_REPLICATIONS if replications is None else replications
     # a first estimate of how long they are
     first = min(math.ceil(wanted / _GROUPS) if uncertain else _BATCH, 10, wanted)
-    done = executor.ordered([group(0, first, compiled=False)], "runs predicted", watch)
+    plain = generator.standard_normal
+    done = executor.ordered([group(0, first, plain, compiled=False)], "runs predicted", watch)
     each = max(done[0].firings.sum() / first, 1.0)
     affordable = max(int(most / each), min(wanted, LEAST_REPLICATIONS))
     rest = max(min(wanted, affordable) - first, 0)
@@ -126,9 +132,10 @@ def predict(
     if uncertain:
         usual = max(math.ceil(rest / _GROUPS), 1)
     compiled = _worth_compiling(rest * each / executor.workers)
+    begins = range(0, rest, usual)
     items = [
-        group(number, min(usual, rest - made), compiled=compiled)
-        for number, made in enumerate(range(0, rest, usual), 1)
+        group(number, min(usual, rest - made), normal, compiled=compiled)
+        for number, (made, normal) in enumerate(zip(begins, _strata(len(begins), generator)), 1)
     ]
     done += executor.ordered(items, "runs predicted", watch)
     return RunSample(*(np.concatenate(parts) for parts in zip(*done)))
@@ -233,15 +240,40 @@ def is_uncertain(plan: Plan) -> bool:
     return any(evidence.observations > 0 for evidence in plan.evidence.values())
 
 
-def draw_parameters(plan: Plan, generator: np.random.Generator) -> Parameters:
-    """Draw values of the parameters of a plan that were learned from logs; see the module."""
-    drawn = _drawn(plan.times, plan.rates, generator)
+def draw_parameters(
+    plan: Plan, generator: np.random.Generator, normal: Optional[_Normal] = None
+) -> Parameters:
+    """Draw values of the parameters of a plan that were learned from logs; see the module.
+
+    :param normal: draws from the standard normal distribution; None: the ``generator`` does.
+    """
+    draw = normal or generator.standard_normal
+    drawn = _drawn(plan.times, plan.rates, generator, draw)
     own = plan.own_times.items()
-    return drawn._replace(own={robot: _drawn(times, {}, generator) for robot, times in own})
+    return drawn._replace(own={robot: _drawn(times, {}, generator, draw) for robot, times in own})
+
+
+def _strata(count: int, generator: np.random.Generator) -> Iterator[_Normal]:
+    """For each of ``count`` groups, what draws its normal numbers. The n-th numbers of all groups
+    come one from each of ``count`` parts of equal probability (a Latin hypercube): so few
+    independent numbers would often leave the tails empty, and intervals would be too narrow."""
+    parts: List[Sequence[int]] = []
+
+    def normals(group: int) -> Iterator[float]:
+        for number in itertools.count():
+            if number == len(parts):
+                parts.append(generator.permutation(count).tolist())
+            yield quantiles.normal_quantile((parts[number][group] + generator.random()) / count)
+
+    for group in range(count):
+        yield normals(group).__next__
 
 
 def _drawn(
-    times: OwnTimes, known_rates: Mapping[str, float], generator: np.random.Generator
+    times: OwnTimes,
+    known_rates: Mapping[str, float],
+    generator: np.random.Generator,
+    normal: _Normal,
 ) -> Parameters:
     durations: Dict[str, float] = {}
     rates: Dict[str, float] = {}
@@ -255,10 +287,10 @@ def _drawn(
             duration = times.durations[name]
             if duration.mean > 0:
                 error = duration.variation / math.sqrt(n)
-                durations[name] = _factor(duration.mean, evidence.interval, error, generator)
+                durations[name] = _factor(duration.mean, evidence.interval, error, normal)
         elif key == "rates" and name in known_rates:
             error = 1 / math.sqrt(n)
-            rates[name] = _factor(known_rates[name], evidence.interval, error, generator)
+            rates[name] = _factor(known_rates[name], evidence.interval, error, normal)
         elif key == "failures" and name in times.failures:
             p = times.failures[name]
             failures[name] = min(float(generator.beta(n * p + 0.5, n * (1 - p) + 0.5)), 1 - 1e-9)
@@ -274,11 +306,11 @@ def _factor(
     value: float,
     interval: Optional[Tuple[float, float]],
     error: float,
-    generator: np.random.Generator,
+    normal: _Normal,
 ) -> float:
     """Draw the factor by which the true value exceeds the estimate. The two halves of the interval
     may differ."""
-    z = float(generator.standard_normal())
+    z = float(normal())
     if interval is not None and 0 < interval[0] <= value <= interval[1] < math.inf:
         spread = math.log((interval[1] if z > 0 else value) / (value if z > 0 else interval[0]))
         return math.exp(z * spread / _NORMAL)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from statistics import NormalDist
 from typing import Any, List
 
 import numpy as np
@@ -428,6 +429,16 @@ def test_parameters_are_drawn_from_their_intervals() -> None:
     assert np.mean(chances) == pytest.approx(4.5 / 41, abs=0.01)
     assert np.std(chances) == pytest.approx(math.sqrt(0.11 * 0.89 / 42), rel=0.1)
     assert all(math.isclose(sum(p.outcomes["Work"].values()), 1.0) for p in drawn)
+
+
+def test_groups_draw_from_all_parts_of_a_distribution() -> None:
+    """Even the 2.5 % tails of 40 values are there, which chance alone leaves out in every third."""
+    for seed in range(5):
+        groups = prediction._strata(40, np.random.default_rng(seed))
+        drawn = np.array([[draw() for _ in range(3)] for draw in groups])
+        parts = np.floor(40 * np.vectorize(NormalDist().cdf)(drawn))
+        assert (np.sort(parts, axis=0) == np.arange(40)[:, np.newaxis]).all()
+        assert np.abs(np.corrcoef(drawn.T) - np.eye(3)).max() < 0.6
 
 
 def test_an_interval_holds_the_next_value() -> None:
