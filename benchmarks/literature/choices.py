@@ -3,7 +3,7 @@ transitions of weight 0."""
 
 from __future__ import annotations
 
-from typing import Optional
+from typing import Dict, Optional
 
 import numpy as np
 
@@ -14,9 +14,11 @@ from gspn_framework_package.analysis.decisions.aims import Aim
 from gspn_framework_package.analysis.decisions.automaton import Rewards
 from gspn_framework_package.analysis.decisions.solving.optima import optimum
 from gspn_framework_package.analysis.state_space.space import explore
+from gspn_framework_package.model.action import Action, CommandAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.plan import Plan, RobotSpec
 
 JOBS = {5: 2, 10: 3}
 """Number of jobs -> number of processors."""
@@ -172,6 +174,28 @@ def museum(ways: int) -> Net:
             net.immediate("go" + a + b, 0, inputs=["v" + a, *door], outputs=[going, *door])
             net.exponential("comes" + a + b, 1 / seconds, inputs=going, outputs="v" + b)
     return net.build()
+
+
+def museum_plan(ways: int) -> Plan:
+    """The same as a plan of one robot, for ``gspn optimise``: what is known of the doors are
+    resources, and what a robot finds at a door is chance."""
+    net = museum(ways)
+    doors = frozenset(what + node for what in ("unknown", "closed", "open") for node in CLOSED)
+    actions: Dict[str, Action] = {
+        place.name: CommandAction(["true"]) if place.name.startswith(("going", "opening")) else None
+        for place in net.places
+        if place.name not in doors
+    }
+    return Plan(
+        net=net,
+        name=net.name,
+        actions=actions,
+        resource_places=doors,
+        robots=(RobotSpec("robot_1", "v1"),),
+        chance=frozenset("looking" + node for node in CLOSED),
+        until="v8 >= 1",
+        simulate_environment=True,
+    ).validate()
 
 
 class Choices:
