@@ -234,7 +234,10 @@ class _Reader:
             weight,
             kind == "inhibitor",
             line,
-            tuple((x - _HALF, y - _HALF) for x, y in points(all_of(element, "arcpath")[1:-1])),
+            tuple(
+                (round(x - _HALF, 6), round(y - _HALF, 6))
+                for x, y in points(all_of(element, "arcpath")[1:-1])
+            ),
         )
 
     def _tokens(self, text: Optional[str], default: int, what: str, name: str, line: int) -> int:
@@ -362,7 +365,7 @@ def _write_path(parent: etree._Element, net: Net, arc: Arc) -> None:
         for n in (arc.source, arc.target)
     ]
     way = [ends[0] or arc.bends[0], *arc.bends, ends[1] or arc.bends[-1]] if arc.bends else []
-    write_points(parent, "arcpath", [(x + _HALF, y + _HALF) for x, y in way])
+    write_points(parent, "arcpath", [(round(x + _HALF, 9), round(y + _HALF, 9)) for x, y in way])
     for number, point in enumerate(all_of(parent, "arcpath")):
         point.set("id", "%03d" % number)
         point.set("curvePoint", "false")

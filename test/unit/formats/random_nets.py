@@ -11,7 +11,10 @@ NAMES = (
 )
 POINTS = st.tuples(*[st.integers(-(10**6), 10**6).map(lambda n: n / 64)] * 2)
 POSITIONS = st.one_of(st.none(), POINTS)
-BENDS = st.lists(POINTS, max_size=2).map(tuple)
+# as the page writes them
+BENDS = st.lists(
+    st.tuples(*[st.integers(-(10**7), 10**7).map(lambda n: n / 100)] * 2), max_size=2
+).map(tuple)
 RATES = st.floats(min_value=1e-300, max_value=1e300, allow_nan=False)
 WEIGHTS = st.one_of(st.just(0.0), RATES)
 COUNTS = st.one_of(st.integers(0, 5), st.integers(0, 2**53))
