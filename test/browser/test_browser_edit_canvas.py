@@ -221,7 +221,17 @@ def test_arcs_are_bent_by_hand(edit, tmp_path):
     assert len(bends()[bent]) == 2
     key(page, "Shift+B", "Control+z", "Control+z", "Control+z")
     assert bends()[bent] == [[240, 150]]
-    key(page, "Control+a", "ArrowDown", "Escape")
+    field = page.locator("#ed-properties input[data-key$='.bends']")
+    assert field.input_value() == "240 150"
+    field.fill("240 150 7")  # not pairs
+    field.press("Enter")
+    page.wait_for_selector("#ed-properties .wrong:has-text('x y x y')")
+    assert bends()[bent] == [[240, 150]]
+    field.fill("")
+    field.press("Enter")
+    assert bends() == [[], []]
+    page.focus("#ed-net")
+    key(page, "Control+z", "Control+a", "ArrowDown", "Escape")
     assert bends()[bent] == [[240, 160]]
     # as it is drawn, so it is saved, and shown where tokens run along it
     drawn = page.evaluate("(c) => eval(c)(window.gspn.edit.canvas.arcs.all)", COURSE)

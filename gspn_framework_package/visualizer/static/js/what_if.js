@@ -22,7 +22,7 @@ export class WhatIf {
     this.says = h("p.muted", { role: "status" });
     this.chart = new Chart();
     this.chart.element.hidden = true;
-    this.form = h("div.form");
+    this.form = h("div.form.wi-form");
     this.section = question(
       "What if?",
       false,
@@ -192,7 +192,8 @@ export class WhatIf {
     if (!throughput) return "";
     const pace =
       name === ALL ? Object.values(throughput).reduce((a, b) => a + b, 0) : throughput[name];
-    return ` Exactly ${number(pace * end)} on average in the long run (Markov chain of ${number(states)} states).`;
+    const count = number(Math.round(pace * end));
+    return ` Exactly ${count} on average in the long run (Markov chain of ${number(states)} states).`;
   }
 
   draw() {

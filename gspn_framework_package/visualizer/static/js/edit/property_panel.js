@@ -258,19 +258,26 @@ export class PropertyPanel extends PlanForm {
 
   position(kind, name) {
     const list = this.document.net[LISTS[kind]].filter((it) => it.name === name);
-    const lens = this.net(kind, list, "position", null);
-    const part = this.schema.definitions.position;
+    return this.drawn(kind, list, "position", "x y", (pairs) =>
+      pairs.length === 1 ? pairs[0] : null,
+    );
+  }
+
+  /** A field for a point, or points, of the drawing. `valueOf(pairs)`: what the pairs of numbers in it mean. */
+  drawn(kind, list, key, placeholder, valueOf) {
+    const lens = this.net(kind, list, key, null);
     return this.labelled(
-      "Position",
-      this.text(lens, `position of ${name}`, {
+      key[0].toUpperCase() + key.slice(1),
+      this.text(lens, `${key} of ${keyOf[kind](list[0]).replace(/^[a-z]+:/, "")}`, {
         late: true,
-        placeholder: "x y",
-        show: (value) => (value ?? []).join(" "),
+        placeholder,
+        show: (value) => (value ?? []).flat().join(" "),
         parse: (text) => {
           const { values, problem } = numbersIn(text);
+          const pairs = values.flatMap((x, n) => (n % 2 ? [] : [values.slice(n, n + 2)]));
           if (!values.length) return [null];
-          if (problem || values.length !== 2) return "two numbers are needed, x and y";
-          return problemOf(part, values, this.schema) || [values];
+          const value = problem || values.length % 2 ? null : valueOf(pairs);
+          return value ? [value] : `numbers are needed: ${placeholder}`;
         },
       }),
     );
@@ -500,6 +507,8 @@ export class PropertyPanel extends PlanForm {
     return [
       h("h2", `${list[0].from} → ${list[0].to}`),
       this.arcFields(list),
+      this.drawn("arc", list, "bends", "x y x y ...", (pairs) => pairs),
+      h("p.muted", "Drag the arc, or press B, to bend it."),
       h("div.buttons", [
         this.button("go from", `Go to ${list[0].from}`, () =>
           this.mode.choose([this.keyOfNode(list[0].from)]),
