@@ -19,7 +19,6 @@ from typing import Any, Dict, Iterator, Optional, Sequence, Tuple
 
 from benchmarks.machine import machine_line, table
 from benchmarks.sites import SITES, site_plan
-from gspn_framework_package.analysis.proofs.checker import played_to
 from gspn_framework_package.analysis.proofs.ladder import decide_question
 from gspn_framework_package.analysis.proofs.questions import (
     CAN_MOVE,
@@ -27,6 +26,7 @@ from gspn_framework_package.analysis.proofs.questions import (
     MarkingQuestion,
     problem_of,
 )
+from gspn_framework_package.analysis.proofs.witness import played_to
 from gspn_framework_package.model.net import Arc, Place
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.policy import Policy

@@ -22,7 +22,7 @@ from generated_nets import bounded_nets
 from generated_plans import small_plans, with_events, with_tasks
 from hypothesis import HealthCheck, given, seed, settings
 
-from gspn_framework_package.analysis.proofs.checker import check_certificate, played_to
+from gspn_framework_package.analysis.proofs.checker import check_certificate
 from gspn_framework_package.analysis.proofs.ladder import (
     NOT_DECIDED,
     PROVEN,
@@ -30,6 +30,7 @@ from gspn_framework_package.analysis.proofs.ladder import (
     decide_question,
 )
 from gspn_framework_package.analysis.proofs.questions import problem_of
+from gspn_framework_package.analysis.proofs.witness import played_to
 
 FAMILIES = {
     "nets": bounded_nets(),

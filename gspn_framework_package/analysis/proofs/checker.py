@@ -4,31 +4,21 @@ A question asks for a reachable marking that fulfils some *facts*. A proof that 
 two parts. First come *lemmas*, which hold in every reachable marking: at the start, and after every
 firing if before it. Then a *tree* shows that no marking fulfils lemmas and facts. Each of its nodes
 narrows the counts that places may have, until one fact, or a weighted sum of several, cannot hold
-any more. Neither part is searched for here, and nothing of a solver is believed.
+any more. Or all markings are visited again, or robots are shown to get *home*, one after another.
+None of this is searched for here, and nothing of a solver is believed.
 
 Facts and lemmas are linear inequalities (:class:`Atom`) joined by :class:`All` and :class:`Some`.
 Counts are whole numbers, so the opposite of ``sum >= n`` is ``-sum >= 1 - n``.
 
-This module needs neither NumPy nor a solver. It reads untrusted files: whatever does not fit is a
-:class:`ProofError`.
+This module is all that checks proofs, and needs neither NumPy nor a solver. It reads untrusted
+files: whatever does not fit is a :class:`ProofError`.
 """
 
 from __future__ import annotations
 
 import math
-from typing import (
-    Any,
-    Callable,
-    Dict,
-    Iterable,
-    List,
-    NamedTuple,
-    Optional,
-    Sequence,
-    Set,
-    Tuple,
-    Union,
-)
+from itertools import islice
+from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple, Union
 
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.net import Marking, Net
@@ -75,6 +65,8 @@ def goes_on(what: str, count: int) -> None:
 MOST_VISITED = 1_000_000
 """Most markings that the checker visits."""
 
+_UNREADABLE = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
+
 
 class Problem(NamedTuple):
     """A question about a net: is there a reachable marking that is *bad*?
@@ -90,8 +82,9 @@ class Problem(NamedTuple):
     :ivar settling: the transitions that end what goes on by itself.
     :ivar chosen: whether a transition that the net enables in a marking is one of ``fires``; None
         if there is nothing quicker than to look.
-    :ivar home: the question whether every reachable marking leads back to the first one, which is
-        not bad, and with which no other one is; None if that is not so.
+    :ivar robots: for each place whether it holds robots, if the question is whether every reachable
+        marking leads back to the first one, or such a one, and counts of robots decide on no
+        firing, other than that it needs one; otherwise nothing.
     :ivar step: called at intervals of a check.
     """
 
@@ -103,7 +96,7 @@ class Problem(NamedTuple):
     surely: Optional[Callable[[Marking], bool]] = None
     settling: Tuple[int, ...] = ()
     chosen: Optional[Callable[[Marking, int], bool]] = None
-    home: Any = None
+    robots: Tuple[bool, ...] = ()
     step: CheckStep = goes_on
 
 
@@ -134,10 +127,7 @@ class CountBox:
 
     def largest(self, terms: Iterable[Tuple[int, int]]) -> Count:
         """The largest value of a weighted sum."""
-        total: Count = 0
-        for p, weight in terms:
-            total += weight * (self.high[p] if weight > 0 else self.low[p])
-        return total
+        return sum(w * (self.high[p] if w > 0 else self.low[p]) for p, w in terms)
 
     def allows(self, formula: Formula) -> bool:
         """Whether the counts of single places leave it open that the formula holds. False is
@@ -155,13 +145,8 @@ class CountBox:
             return [formula]
         if isinstance(formula, All):
             return [atom for part in formula.parts for atom in self.implied(part)]
-        open_parts = []
-        for part in formula.parts:
-            if self.allows(part):
-                open_parts.append(part)
-                if len(open_parts) > 1:
-                    return []
-        return self.implied(open_parts[0]) if open_parts else []
+        possible = list(islice(filter(self.allows, formula.parts), 2))
+        return self.implied(possible[0]) if len(possible) == 1 else []
 
 
 def fulfils(formula: Formula, marking: Sequence[int]) -> bool:
@@ -189,45 +174,26 @@ def opposite(formula: Formula) -> Formula:
     return Some(parts) if isinstance(formula, All) else All(parts)
 
 
-def change(atom: Atom, effect: Dict[int, int]) -> int:
-    """How much a firing with this effect adds to the sum of the atom."""
-    return sum(weight * effect.get(p, 0) for p, weight in atom.terms)
-
-
-# -- lemmas ----------------------------------------------------------------------------------------
-
-
-def check_lemma(
-    problem: Problem, known: Sequence[Formula], lemma: Some, steps: Dict[int, Any]
-) -> None:
+def check_lemma(problem: Problem, lemma: Some) -> None:
     """Require that a disjunction of inequalities holds in every reachable marking.
 
-    :param known: lemmas that do.
-    :param steps: number of a transition -> the nodes of a tree that shows that the lemma holds
-        after it fires, for those of which it is not plain.
     :raises ProofError: it is not shown.
     """
     net = problem.net
     if not fulfils(lemma, net.initial_marking):
         raise ProofError("a lemma does not hold at the start")
     places = {p for atom in lemma.parts for p, _ in atom.terms}
-    near: Set[int] = set()
-    for p in places:
-        near.update(net.consumers[p], net.producers[p])
+    near = {t for p in places for t in (*net.consumers[p], *net.producers[p])}
     for t in near.intersection(problem.transitions):
-        effect = dict(net.effect(t))
-        if t not in steps and is_plainly_kept(net, lemma, t, effect):
-            continue
-        if t not in steps:
+        if not is_plainly_kept(net, lemma, t):
             raise ProofError("a lemma may fail when %s fires" % net.transitions[t].name)
-        facts = [*known, lemma, *guard(net, t), *after(lemma, effect)]
-        check_tree(CountBox.of(net), facts, steps[t], problem.step)
 
 
-def is_plainly_kept(net: Net, lemma: Some, t: int, effect: Dict[int, int]) -> bool:
-    """Whether no inequality of the lemma loses by the firing, or one of them holds after it
-    because of what the transition needs."""
-    changes = [change(atom, effect) for atom in lemma.parts]
+def is_plainly_kept(net: Net, lemma: Some, t: int) -> bool:
+    """Whether no inequality of the lemma loses by a firing of transition number ``t``, or one of
+    them holds after it because of what the transition needs."""
+    effect = dict(net.effect(t))
+    changes = [sum(w * effect.get(p, 0) for p, w in atom.terms) for atom in lemma.parts]
     if all(n >= 0 for n in changes):
         return True
     box = CountBox.of(net)
@@ -238,14 +204,6 @@ def is_plainly_kept(net: Net, lemma: Some, t: int, effect: Dict[int, int]) -> bo
         -box.largest((p, -weight) for p, weight in atom.terms) + n >= atom.least
         for atom, n in zip(lemma.parts, changes)
     )
-
-
-def after(lemma: Some, effect: Dict[int, int]) -> List[Formula]:
-    """What holds before a firing after which the lemma fails."""
-    return [opposite(Atom(atom.terms, atom.least - change(atom, effect))) for atom in lemma.parts]
-
-
-# -- trees -----------------------------------------------------------------------------------------
 
 
 def check_tree(
@@ -281,7 +239,7 @@ def check_tree(
             lower, upper = box.copy(), box.copy()
             lower.narrow(p, False, count)
             upper.narrow(p, True, count + 1)
-        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        except _UNREADABLE as error:
             raise ProofError("a node of the proof cannot be read: %r" % error) from None
         waiting += [(lower, below), (upper, above)]
 
@@ -308,15 +266,12 @@ def _check_reason(box: CountBox, facts: Sequence[Formula], reason: Any) -> None:
         raise ProofError("a step of the proof does not follow")
 
 
-# -- certificates ----------------------------------------------------------------------------------
-
-
 def check_certificate(problem: Problem, certificate: Any) -> str:
     """Require that a certificate shows that no reachable marking is bad.
 
     It has ``lemmas`` and the nodes of a ``tree``, or the number of ``markings`` to be visited
     again, or ``ways`` home. A lemma has a list ``some`` of inequalities ``[{place: weight},
-    least]``, one of which always holds, and perhaps ``steps``: transition -> nodes.
+    least]``, one of which always holds.
 
     :returns: what was checked, for people.
     :raises ProofError: it does not.
@@ -324,20 +279,18 @@ def check_certificate(problem: Problem, certificate: Any) -> str:
     try:
         if "markings" in certificate:
             return _visit(problem, certificate["markings"])
-        if "ways" in certificate and problem.home is not None:
-            return str(problem.home.check(certificate))
+        if "ways" in certificate and problem.robots:
+            return _check_ways(problem, certificate)
         known: List[Formula] = []
-        numbers = problem.net.transition_index
         for written in certificate["lemmas"]:
             atoms = tuple(_read_atom(problem.net, *each) for each in written["some"])
-            steps = {numbers[name]: tree for name, tree in written.get("steps", {}).items()}
             problem.step("lemmas checked", len(known))
-            check_lemma(problem, known, Some(atoms), steps)
+            check_lemma(problem, Some(atoms))
             known.append(Some(atoms))
         check_tree(
             CountBox.of(problem.net), [*known, *problem.facts], certificate["tree"], problem.step
         )
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+    except _UNREADABLE as error:
         raise ProofError("the certificate cannot be read: %r" % error) from None
     return "%d lemmas" % len(known)
 
@@ -349,23 +302,13 @@ def _read_atom(net: Net, weights: Any, least: Any) -> Atom:
     return Atom(terms, least)
 
 
-def written_lemma(net: Net, lemma: Some) -> Dict[str, Any]:
-    """A lemma as plain JSON values."""
-    return {
-        "some": [
-            [{net.places[p].name: weight for p, weight in atom.terms}, atom.least]
-            for atom in lemma.parts
-        ]
-    }
-
-
 def _visit(problem: Problem, number: Any) -> str:
     """Require that the net has exactly this number of reachable markings, none of them bad."""
     if type(number) is not int or not 0 < number <= MOST_VISITED:
         raise ProofError("%r markings cannot be visited" % (number,))
     seen = {problem.net.initial_marking}
     waiting = [problem.net.initial_marking]
-    while waiting:
+    while waiting and len(seen) <= number:
         problem.step("markings checked", len(seen))
         marking = waiting.pop()
         if problem.is_bad(marking):
@@ -375,24 +318,73 @@ def _visit(problem: Problem, number: Any) -> str:
             if after_it not in seen:
                 seen.add(after_it)
                 waiting.append(after_it)
-        if len(seen) > number:
-            break
     if len(seen) != number:
         raise ProofError("%d markings were expected, and there are others" % number)
     return "%d markings visited" % number
 
 
-def played_to(problem: Problem, sequence: Sequence[str]) -> Marking:
-    """The marking that a firing sequence leads to.
+def alone(problem: Problem, p: int) -> Marking:
+    """The first marking, with one robot, in place number ``p``."""
+    first = zip(problem.robots, problem.net.initial_marking)
+    return tuple(int(q == p) if robots else n for q, (robots, n) in enumerate(first))
 
-    :raises ProofError: a firing is not possible, or that marking is not bad.
-    """
-    marking = problem.net.initial_marking
-    for name in sequence:
-        t = problem.net.transition_index.get(name, -1)
-        if t not in problem.fires(marking):
-            raise ProofError("%s cannot fire" % name)
-        marking = problem.net.fire(marking, t)
-    if not problem.is_bad(marking):
-        raise ProofError("the firings do not lead to what they should show")
-    return marking
+
+def keeps_robots(problem: Problem) -> bool:
+    """Whether no firing changes the number of robots."""
+    effects = map(problem.net.effect, problem.transitions)
+    return not any(sum(n for p, n in each if problem.robots[p]) for each in effects)
+
+
+def fires_alone(problem: Problem, marking: Marking, t: int) -> bool:
+    """Whether transition number ``t`` may fire, however many robots are elsewhere."""
+    net, chosen = problem.net, problem.chosen
+    return (
+        not any(problem.robots[p] for p, _ in net.most_tokens(t))
+        and net.is_enabled(marking, t)
+        and (chosen is None or chosen(marking, t))
+    )
+
+
+def at_rest(problem: Problem, places: Iterable[int]) -> Problem:
+    """The question whether a marking can be reached in which nothing goes on, but not all robots
+    rest in these ``places``, or others have not their first counts."""
+    net, wrong = problem.net, []
+    for p, first in enumerate(net.initial_marking):
+        if not problem.robots[p]:
+            wrong += [Atom(((p, 1),), first + 1), Atom(((p, -1),), 1 - first)]
+        elif p not in places:
+            wrong.append(Atom(((p, 1),), 1))
+    ended = (opposite(All(guard(net, t))) for t in problem.settling)
+    return problem._replace(facts=(*ended, Some(tuple(wrong))), robots=())
+
+
+def _check_ways(problem: Problem, certificate: Any) -> str:
+    """Require that robots can always get back to their first places: ``ways``, each the name of a
+    place and firings that take a robot that is alone from there to another place, and ``rest``, the
+    certificate that robots come :func:`at_rest` only where ways lead to each first place."""
+    net, steps = problem.net, set()
+    if not keeps_robots(problem):
+        raise ProofError("the number of robots may change")
+    for place, *names in certificate["ways"]:
+        start = net.place_index[place]
+        marking = alone(problem, start)
+        for name in names:
+            t = net.transition_index[name]
+            if not fires_alone(problem, marking, t):
+                raise ProofError("%s cannot fire on the way from %s" % (name, place))
+            marking = net.fire(marking, t)
+        end = next((p for p, n in enumerate(marking) if n and problem.robots[p]), -1)
+        if marking != alone(problem, end):
+            raise ProofError("the way from %s leads to no place to rest" % place)
+        steps.add((start, end))
+    homes = {p for p, n in enumerate(net.initial_marking) if n and problem.robots[p]}
+    rest = homes.union(start for start, _ in steps)
+    for home in homes:
+        leading, found = {home}, 0
+        while found < len(leading):
+            found = len(leading)
+            leading |= {start for start, end in steps if end in leading}
+        if not rest <= leading:
+            raise ProofError("no way leads home from a place to rest")
+    how = check_certificate(at_rest(problem, rest), certificate["rest"])
+    return "%d ways, %s" % (len(certificate["ways"]), how)

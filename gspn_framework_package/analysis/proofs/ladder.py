@@ -35,7 +35,6 @@ from gspn_framework_package.analysis.proofs.checker import (
     Problem,
     ProofError,
     check_certificate,
-    played_to,
 )
 from gspn_framework_package.analysis.proofs.homing import Homing
 from gspn_framework_package.analysis.proofs.prover import Candidate, Prover
@@ -44,7 +43,12 @@ from gspn_framework_package.analysis.proofs.questions import (
     MarkingQuestion,
     problem_of,
 )
-from gspn_framework_package.analysis.proofs.witness import realise, shortened, walk_until_stuck
+from gspn_framework_package.analysis.proofs.witness import (
+    played_to,
+    realise,
+    shortened,
+    walk_until_stuck,
+)
 from gspn_framework_package.analysis.state_space.space import StateSpace, explore
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
 from gspn_framework_package.model.errors import LimitError
@@ -209,8 +213,8 @@ class _Ladder:
         found = self._prove()
         if isinstance(found, Answer):
             return found
-        if self._problem.home is not None:
-            answer = self._go_home(self._problem.home)
+        if self._problem.robots:
+            answer = self._go_home()
             if answer is not None:
                 return answer
         few = min(self._limit, FEW_MARKINGS)
@@ -248,9 +252,9 @@ class _Ladder:
         more = ", %d cases, %d linear programs" % (prover.cases, prover.programs)
         return self._accepted(_name_of(prover), found, more)
 
-    def _go_home(self, home: Homing) -> Optional[Answer]:
+    def _go_home(self) -> Optional[Answer]:
         try:
-            found = home.certificate(self._watch.part(PROVING))
+            found = Homing(self._problem, self._watch.part(PROVING)).certificate()
         except LimitError as error:
             self._step("ways home", str(error))
             return None

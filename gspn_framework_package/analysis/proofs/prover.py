@@ -39,7 +39,6 @@ from gspn_framework_package.analysis.proofs.checker import (
     Problem,
     Some,
     guard,
-    written_lemma,
 )
 from gspn_framework_package.analysis.structure.invariants import Invariant, place_invariants
 from gspn_framework_package.analysis.structure.siphons import Directions, largest_trap
@@ -153,7 +152,7 @@ class Prover:
                 used.setdefault(item[1], len(used))
         for item in items:
             item[1] = used[item[1]] if item[1] < 0 else item[1] + len(used)
-        lemmas = [written_lemma(self._net, self._lemmas[-1 - number]) for number in used]
+        lemmas = [_written(self._net, self._lemmas[-1 - number]) for number in used]
         return {"lemmas": lemmas, "tree": nodes}
 
     # -- the search --------------------------------------------------------------------------------
@@ -262,6 +261,16 @@ class Prover:
         number = self._add(Some((Atom(tuple((p, 1) for p in places), 1),)))
         self._traps.add(number)
         return number
+
+
+def _written(net: Net, lemma: Some) -> Dict[str, Any]:
+    """A lemma as plain JSON values."""
+    return {
+        "some": [
+            [{net.places[p].name: weight for p, weight in atom.terms}, atom.least]
+            for atom in lemma.parts
+        ]
+    }
 
 
 def _places(formula: Formula) -> Iterator[int]:

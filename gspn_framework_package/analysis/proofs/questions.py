@@ -42,7 +42,6 @@ from gspn_framework_package.analysis.proofs.checker import (
     opposite,
 )
 from gspn_framework_package.analysis.proofs.conditions import condition_of, facts_of, formula_of
-from gspn_framework_package.analysis.proofs.homing import Homing
 from gspn_framework_package.analysis.proofs.policy_rows import MOST_PROOF_ROWS, RowsOfPlaces
 from gspn_framework_package.analysis.proofs.returning import (
     FiringsLeft,
@@ -250,7 +249,7 @@ class _OfPlan:
         kind, net = self._question.kind, self._net
         facts: Tuple[Formula, ...]
         is_bad: Callable[[Marking], bool]
-        home: Optional[Homing] = None
+        robots: Tuple[bool, ...] = ()
         if kind == NEVER:
             condition = condition_of(self._question.about, net)
             facts, is_bad = facts_of(condition), condition.holds
@@ -263,33 +262,33 @@ class _OfPlan:
             facts, holds = self._never_back()
             goal = opposite(facts[0]) if facts else None
             is_bad = never_returns(net, facts, holds, self.fires, self._watch, goal)
-            if holds(net.initial_marking):
-                home = self._homing()
+            if holds(net.initial_marking) and self._counts_no_robots():
+                robots = tuple(p in self._robots for p in range(len(net.places)))
         else:
             how = {DEAD: self._dead, FIRES: self._fires, NO_ROW: self._gap}[kind]
             facts = (*self._not_over(), *(fact for fact in how() if not _is_true(fact)))
             is_bad = self._exactly(facts)
-        transitions = self._firing()
+        surely, settles = None, []
         if kind == CAN_MOVE and self._until is None:
-            steps = tuple(settling(net, self._by_themselves()))
-            return Problem(
-                net, transitions, facts, is_bad, self.fires, self._stuck, steps, self._chosen
-            )
-        return Problem(net, transitions, facts, is_bad, self.fires, chosen=self._chosen, home=home)
-
-    def _homing(self) -> Optional[Homing]:
-        """The question whether robots can always get back to their first places; None where the
-        counts of robots decide what fires."""
-        if self._until is not None or not self._plan.resource_places.issuperset(
-            self._plan.policy.places
-        ):
-            return None
-        transitions = self._firing()
-        problem = Problem(
-            self._net, transitions, (), fires=self.fires, is_bad=bool, chosen=self._chosen
+            surely = self._stuck
+        if surely or robots:
+            settles = settling(net, self._by_themselves())
+        return Problem(
+            net,
+            self._firing(),
+            facts,
+            is_bad,
+            self.fires,
+            surely,
+            tuple(settles),
+            self._chosen,
+            robots,
         )
-        settles = tuple(settling(self._net, self._by_themselves()))
-        return Homing(problem._replace(step=self._watch.step), frozenset(self._robots), settles)
+
+    def _counts_no_robots(self) -> bool:
+        """Whether counts of robots decide on no firing, other than that it needs one."""
+        counted = set(self._plan.policy.places) - self._plan.resource_places
+        return self._until is None and not counted
 
     def _firing(self) -> Tuple[int, ...]:
         """The transitions that may ever fire."""

@@ -6,9 +6,9 @@ from __future__ import annotations
 import heapq
 import math
 import random
-from typing import Callable, Dict, List, Optional, Tuple
+from typing import Callable, Dict, List, Optional, Sequence, Tuple
 
-from gspn_framework_package.analysis.proofs.checker import Problem
+from gspn_framework_package.analysis.proofs.checker import Problem, ProofError
 from gspn_framework_package.analysis.proofs.prover import Candidate
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError
@@ -97,6 +97,22 @@ class _Search:
         return way[::-1]
 
 
+def played_to(problem: Problem, sequence: Sequence[str]) -> Marking:
+    """The marking that a firing sequence leads to.
+
+    :raises ProofError: a firing is not possible, or that marking is not bad.
+    """
+    marking = problem.net.initial_marking
+    for name in sequence:
+        t = problem.net.transition_index.get(name, -1)
+        if t not in problem.fires(marking):
+            raise ProofError("%s cannot fire" % name)
+        marking = problem.net.fire(marking, t)
+    if not problem.is_bad(marking):
+        raise ProofError("the firings do not lead to what they should show")
+    return marking
+
+
 def walk_until_stuck(
     problem: Problem, watch: Watch, firings: float = math.inf
 ) -> Optional[List[str]]:
@@ -147,7 +163,8 @@ def shortened(problem: Problem, names: List[str], watch: Watch) -> List[str]:
             at = at if at < len(way) else 0
     except LimitError:
         pass
-    way = way + _settle(problem, markings[-1])
+    if problem.surely is not None:
+        way = way + _settle(problem, markings[-1])
     try:
         if problem.is_bad(_markings_on(problem, net.initial_marking, way)[-1]):
             return [net.transitions[t].name for t in way]

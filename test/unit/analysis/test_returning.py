@@ -26,8 +26,8 @@ from gspn_framework_package.analysis.proofs.checker import (
     CountBox,
     ProofError,
     check_certificate,
-    played_to,
 )
+from gspn_framework_package.analysis.proofs.homing import Homing
 from gspn_framework_package.analysis.proofs.ladder import (
     NOT_DECIDED,
     PROVEN,
@@ -45,6 +45,7 @@ from gspn_framework_package.analysis.proofs.questions import (
     problem_of,
 )
 from gspn_framework_package.analysis.proofs.returning import settling
+from gspn_framework_package.analysis.proofs.witness import played_to
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.formats.registry import write_net
@@ -347,19 +348,20 @@ def test_the_ways_home_need_what_holds(tmp_path):
     """A policy that counts robots, a run that ends, a robot that rests where no way leads home, and
     a resource that does not come back."""
     plan, question = hall(2, tmp_path), MarkingQuestion(RETURNS, "At_n0_full = 1")
-    assert problem_of(plan, question).home is not None
-    assert problem_of(replace(plan, until="At_n2_full > 1"), question).home is None
+    assert problem_of(plan, question).robots
+    assert not problem_of(replace(plan, until="At_n2_full > 1"), question).robots
     counting = Policy((*plan.policy.places[:-1], "At_n0_full"), plan.policy.rows)
-    assert problem_of(replace(plan, policy=counting), question).home is None
+    assert not problem_of(replace(plan, policy=counting), question).robots
     elsewhere = MarkingQuestion(RETURNS, "At_n1_full = 1")
-    assert problem_of(plan, elsewhere).home is None, "it is not the first marking"
+    assert not problem_of(plan, elsewhere).robots, "it is not the first marking"
     watch = watch_module.Watch()
     with pytest.raises(LimitError):
-        problem_of(ending(3, True), MarkingQuestion(RETURNS, "a = 3")).home.certificate(watch)
+        problem = problem_of(ending(3, True), MarkingQuestion(RETURNS, "a = 3"))
+        Homing(problem, watch).certificate()
     net = plan.net.with_place(Place("fuel", tokens=99)).with_arc(Arc("fuel", "Go_n0_n1_full"))
     using = replace(plan, net=net, resource_places=plan.resource_places | {"fuel"})
     with pytest.raises(LimitError):
-        problem_of(using, question).home.certificate(watch)
+        Homing(problem_of(using, question), watch).certificate()
 
 
 def narrow(robots, folder):
