@@ -43,6 +43,14 @@ def components_of(matrix: Matrix) -> Components:
     return Components(int(count), of, bottom)
 
 
+def on_a_cycle(nodes: int, sources: Indices, targets: Indices) -> Booleans:
+    """Boolean array: the nodes that are on a cycle of these arcs."""
+    part = components(nodes, sources, targets).of
+    found = np.bincount(part)[part] > 1
+    found[sources[sources == targets]] = True
+    return found
+
+
 def reachable_from(
     nodes: int, sources: Indices, targets: Indices, start: Union[Indices, Booleans]
 ) -> Booleans:

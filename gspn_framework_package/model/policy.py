@@ -229,6 +229,7 @@ class PolicyTable:
         self._columns = columns = [net.place_index[p] for p in policy.places]
         self._restricted: Dict[Tuple[int, int], Distribution] = {}
         self._leaving: Dict[Tuple[Tuple[Tuple[str, float], ...], int], Choices] = {}
+        self._ranks: Dict[int, Tuple[int, int, int]] = {}
         self._scope: Dict[int, int] = {}  # place -> number of its scope; others: 0
         for name, k in policy.scope_numbers().items():
             if name not in net.place_index:
@@ -351,8 +352,10 @@ class PolicyTable:
 
     def precedence(self, number: int) -> Tuple[int, int, int]:
         """Return the precedence of a row: of those that match, the smallest decides."""
-        row = self.policy.rows[number]
-        return row.counts.count(None), row.tests, number
+        if number not in self._ranks:
+            row = self.policy.rows[number]
+            self._ranks[number] = row.counts.count(None), row.tests, number
+        return self._ranks[number]
 
     def choices_of_row(self, number: int, place: int) -> Choices:
         """Return what a robot in ``place`` draws from by the row ``number``, if that decides."""

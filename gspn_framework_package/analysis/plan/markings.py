@@ -20,6 +20,7 @@ from gspn_framework_package.analysis.graph import (
     ShortestWays,
     adjacency,
     components,
+    on_a_cycle,
     reachable_from,
 )
 from gspn_framework_package.analysis.plan.edited_nets import with_end, with_losses
@@ -263,10 +264,8 @@ class PlanMarkings:
             if not len(onward):
                 continue
             before, after = sources[onward], targets[onward]
-            part = components(len(space), before, after).of
-            on_a_cycle = np.bincount(part)[part] > 1
-            on_a_cycle[before[before == after]] = True
-            go_on = waits & reachable_from(len(space), after, before, on_a_cycle)
+            around = on_a_cycle(len(space), before, after)
+            go_on = waits & reachable_from(len(space), after, before, around)
             for state in np.flatnonzero(go_on)[:1].tolist():
                 yield self.net.transitions[t].name, self._finding(state, p, ways)
 

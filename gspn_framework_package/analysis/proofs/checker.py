@@ -326,7 +326,9 @@ def _visit(problem: Problem, number: Any) -> str:
 def alone(problem: Problem, p: int) -> Marking:
     """The first marking, with one robot, in place number ``p``."""
     first = zip(problem.robots, problem.net.initial_marking)
-    return tuple(int(q == p) if robots else n for q, (robots, n) in enumerate(first))
+    marking = [0 if robots else n for robots, n in first]
+    marking[p] = 1
+    return tuple(marking)
 
 
 def keeps_robots(problem: Problem) -> bool:
@@ -374,7 +376,7 @@ def _check_ways(problem: Problem, certificate: Any) -> str:
                 raise ProofError("%s cannot fire on the way from %s" % (name, place))
             marking = net.fire(marking, t)
         end = next((p for p, n in enumerate(marking) if n and problem.robots[p]), -1)
-        if marking != alone(problem, end):
+        if end < 0 or marking != alone(problem, end):
             raise ProofError("the way from %s leads to no place to rest" % place)
         steps.add((start, end))
     homes = {p for p, n in enumerate(net.initial_marking) if n and problem.robots[p]}

@@ -12,6 +12,7 @@ each place to rest to each place in which robots are at first.
 from __future__ import annotations
 
 from collections import deque
+from functools import lru_cache, partial
 from typing import Any, Deque, Dict, List, Tuple
 
 from gspn_framework_package.analysis.proofs.checker import (
@@ -46,6 +47,7 @@ class Homing:
     def __init__(self, problem: Problem, watch: Watch) -> None:
         self._problem, self._watch = problem, watch
         net = problem.net
+        self._alone = lru_cache(maxsize=None)(partial(alone, problem))
         self._robots = frozenset(p for p, robots in enumerate(problem.robots) if robots)
         self._homes = [p for p in sorted(self._robots) if net.initial_marking[p]]
         # what goes on without a robot, however many there are
@@ -97,7 +99,7 @@ class Homing:
     def _explore(self, start: int, limit: int) -> Dict[int, List[int]]:
         """The places to which a robot that is alone gets within ``limit`` markings, and the firings
         to each. What goes on without it ends last."""
-        net, first = self._problem.net, alone(self._problem, start)
+        net, first = self._problem.net, self._alone(start)
         seen = {first}
         ends: Dict[int, List[int]] = {}
         waiting: Deque[Tuple[int, Marking, List[int]]] = deque([(start, first, [])])
@@ -117,7 +119,7 @@ class Homing:
                 while able:
                     able = [u for u in self._aside if net.is_enabled(after, u)][:1]
                     after, on = (net.fire(after, able[0]), on + able) if able else (after, on)
-                if to[0] not in (start, *ends) and after == alone(self._problem, to[0]):
+                if to[0] not in (start, *ends) and after == self._alone(to[0]):
                     ends[to[0]] = on
         return ends
 

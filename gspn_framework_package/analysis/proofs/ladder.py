@@ -1,8 +1,8 @@
 """Decides a question about all reachable markings of a net or a plan: the steps of a ladder, within
 one budget of time.
 
-Of a net with many places, short random walks come first, and longer ones after the state equation:
-teams get stuck in them as in a run.
+Of a net with many places, short random walks come first, unless there may be ways home, and longer
+ones after the state equation: teams get stuck in them as in a run.
 
 1. *Structure*: invariants and bounds of places, by which the facts of the question exclude each
    other.
@@ -207,9 +207,10 @@ class _Ladder:
         large = len(self._problem.net.places) > PLACES_EXPLORED
         # who looks at all that follows a marking may not get far
         first = 1.0 if self._problem.surely is not None else FIRST_SHARE
-        answer = self._wander(first, self._first_firings()) if large else None
-        if answer is not None:
-            return answer
+        if large and not self._problem.robots:  # what follows each marking is looked at: not yet
+            answer = self._wander(first, self._first_firings())
+            if answer is not None:
+                return answer
         found = self._prove()
         if isinstance(found, Answer):
             return found

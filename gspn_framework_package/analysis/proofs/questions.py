@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from fnmatch import fnmatchcase
 from functools import cached_property, partial
+from operator import itemgetter
 from typing import (
     Callable,
     Collection,
@@ -222,6 +223,9 @@ class _OfPlan:
         self._own = len(net.transitions)
         self._net = with_losses(net, plan, set(left_out)) if question.losses else net
         self._original = [plan.net.place_number(place.name) for place in self._net.places]
+        own = {q: p for p, q in enumerate(self._original)}
+        # the last count is 0; two numbers make a tuple
+        self._of_all_places = itemgetter(*(own.get(q, -1) for q in range(len(plan.net.places))), -1)
         self._robots = {
             p for p, place in enumerate(self._net.places) if place.name not in plan.resource_places
         }
@@ -349,12 +353,9 @@ class _OfPlan:
             return True
         return self._chosen_in(self._with_all_places(marking), t)
 
-    def _with_all_places(self, marking: Marking) -> List[int]:
+    def _with_all_places(self, marking: Marking) -> Sequence[int]:
         """The marking of the plan's net, counters at 0."""
-        full = [0] * len(self._plan.net.places)
-        for p, count in zip(self._original, marking):
-            full[p] = count
-        return full
+        return self._of_all_places((*marking, 0))
 
     def _asking(self, t: int) -> List[int]:
         """The places of the robots that ask the policy for ``t``; none for other transitions."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 import heapq
 import math
 import random
-from typing import Callable, Dict, List, Optional, Sequence, Tuple
+from typing import Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.analysis.proofs.checker import Problem, ProofError
 from gspn_framework_package.analysis.proofs.prover import Candidate
@@ -193,38 +193,21 @@ def _markings_on(problem: Problem, marking: Marking, way: List[int]) -> List[Mar
 def _walk_to_a_trap(
     problem: Problem, surely: Callable[[Marking], bool], watch: Watch, firings: float
 ) -> Optional[List[int]]:
-    draw, net = random.Random(1), problem.net
-    for walks in range(MOST_WALKS):
-        markings, way = [net.initial_marking], []
-        for length in range(1, LONGEST_WALK):
-            firings -= 1
-            watch.step("random walks", walks)
-            if firings < 0:
-                return None
-            able = list(problem.fires(markings[-1]))
-            if able:
-                way.append(draw.choice(able))
-                markings.append(net.fire(markings[-1], way[-1]))
-            if able and length % _LOOK_EVERY:
-                continue
-            if not able and problem.is_bad(markings[-1]):
-                return _without_loops(markings, way)
-            if surely(markings[-1]):
-                first, last = 0, len(way)
-                while first < last:  # once it is so, it stays so
-                    middle = (first + last) // 2
-                    if surely(markings[middle]):
-                        last = middle
-                    else:
-                        first = middle + 1
-                way = [
-                    *_without_loops(markings[: first + 1], way),
-                    *_settle(problem, markings[first]),
-                ]
-                end = _markings_on(problem, net.initial_marking, way)[-1]
-                return way if problem.is_bad(end) else None
-            if not able:
-                break
+    for markings, way, is_stuck in _walks(problem, {}, watch, firings):
+        if is_stuck and problem.is_bad(markings[-1]):
+            return _without_loops(markings, way)
+        look = is_stuck or way and len(way) % _LOOK_EVERY == 0
+        if look and surely(markings[-1]):
+            first, last = 0, len(way)
+            while first < last:  # once it is so, it stays so
+                middle = (first + last) // 2
+                if surely(markings[middle]):
+                    last = middle
+                else:
+                    first = middle + 1
+            way = _without_loops(markings[: first + 1], way) + _settle(problem, markings[first])
+            end = _markings_on(problem, problem.net.initial_marking, way)[-1]
+            return way if problem.is_bad(end) else None
     return None
 
 
@@ -256,31 +239,37 @@ def _settle(problem: Problem, marking: Marking) -> List[int]:
 def _walk(
     problem: Problem, firings: Dict[int, int], watch: Watch, most: float = math.inf
 ) -> Optional[List[int]]:
-    """Random walks until one reaches a bad marking; detours back to the same marking are cut
-    out. None if there is no time left."""
-    draw = random.Random(1)
+    """Random walks until one reaches a bad marking; None if there is no time left."""
+    for markings, way, _ in _walks(problem, firings, watch, most):
+        if problem.is_bad(markings[-1]):
+            return _without_loops(markings, way)
+    return None
+
+
+def _walks(
+    problem: Problem, firings: Dict[int, int], watch: Watch, most: float
+) -> Iterator[Tuple[List[Marking], List[int], bool]]:
+    """Random walks, one after another: before each firing the markings and the firings so far, and
+    whether none is possible.
+
+    :param firings: those that a walk prefers, and how often.
+    :param most: the most firings of all walks together.
+    """
+    draw, net = random.Random(1), problem.net
     for walks in range(MOST_WALKS):
-        marking, left = problem.net.initial_marking, dict(firings)
+        markings, left = [net.initial_marking], dict(firings)
         way: List[int] = []
-        seen = {marking: 0}
-        for _ in range(LONGEST_WALK):
-            if problem.is_bad(marking):
-                return way
+        while len(way) < LONGEST_WALK:
+            watch.step("random walks", walks)
+            able = list(problem.fires(markings[-1]))
+            yield markings, way, not able
             most -= 1
             if most < 0:
-                return None
-            watch.step("random walks", walks)
-            able = list(problem.fires(marking))
+                return
             if not able:
                 break
             wanted = [t for t in able if left.get(t, 0) > 0]
             t = draw.choice(wanted if wanted and draw.random() < _ON_THE_WAY else able)
             left[t] = left.get(t, 0) - 1
-            marking = problem.net.fire(marking, t)
             way.append(t)
-            if marking in seen:
-                for other in [m for m, length in seen.items() if length > seen[marking]]:
-                    del seen[other]
-                del way[seen[marking] :]
-            seen[marking] = len(way)
-    return None
+            markings.append(net.fire(markings[-1], t))

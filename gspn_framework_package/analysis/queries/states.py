@@ -15,7 +15,7 @@ from typing import Any, Callable, Dict, Mapping, NamedTuple
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Booleans
-from gspn_framework_package.analysis.graph import can_reach, components
+from gspn_framework_package.analysis.graph import can_reach, on_a_cycle
 from gspn_framework_package.analysis.queries.grammar import Branching, StateFormula
 from gspn_framework_package.analysis.state_space.marking_store import Columns
 from gspn_framework_package.analysis.state_space.space import StateSpace
@@ -116,9 +116,7 @@ class StateSets:
         """The states from which a path within ``stay`` comes to a cycle or to one of ``ends``."""
         within = stay[self._sources] & stay[self._targets]
         sources, targets = self._sources[within], self._targets[within]
-        found = components(len(self._space), sources, targets)
-        around = np.bincount(found.of)[found.of] > 1
-        around[sources[sources == targets]] = True
+        around = on_a_cycle(len(self._space), sources, targets)
         return self._back(stay, stay & (around | ends))
 
     def _back(self, stay: Booleans, goal: Booleans) -> Booleans:

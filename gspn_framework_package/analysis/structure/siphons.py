@@ -25,10 +25,9 @@ from itertools import chain
 from typing import Dict, FrozenSet, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse import csgraph
 
 from gspn_framework_package.analysis.arrays import Booleans, Indices
+from gspn_framework_package.analysis.graph import components
 from gspn_framework_package.analysis.limits import STRUCTURE_LIMIT, Effort
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.net import Net
@@ -370,10 +369,7 @@ class _Inside:
         sources = np.concatenate([from_places[taken], count + out_of[given]])
         targets = np.concatenate([count + into[taken], fed[given]])
         self._effort.spend(1 + (nodes + len(sources)) // _VECTORISED, _PLACES)
-        graph = sparse.csr_matrix(
-            (np.ones(len(sources), np.int8), (sources, targets)), shape=(nodes, nodes)
-        )
-        _, of = csgraph.connected_components(graph, connection="strong")
+        of = components(nodes, sources, targets).of
         found: Dict[int, List[int]] = {}
         for p, component in zip(chosen.tolist(), of[chosen].tolist()):
             found.setdefault(component, []).append(p)
