@@ -331,7 +331,7 @@ def alone(problem: Problem, p: int) -> Marking:
     return tuple(marking)
 
 
-def keeps_robots(problem: Problem) -> bool:
+def keeps_their_number(problem: Problem) -> bool:
     """Whether no firing changes the number of robots."""
     effects = map(problem.net.effect, problem.transitions)
     return not any(sum(n for p, n in each if problem.robots[p]) for each in effects)
@@ -365,7 +365,7 @@ def _check_ways(problem: Problem, certificate: Any) -> str:
     place and firings that take a robot that is alone from there to another place, and ``rest``, the
     certificate that robots come :func:`at_rest` only where ways lead to each first place."""
     net, steps = problem.net, set()
-    if not keeps_robots(problem):
+    if not keeps_their_number(problem):
         raise ProofError("the number of robots may change")
     for place, *names in certificate["ways"]:
         start = net.place_index[place]

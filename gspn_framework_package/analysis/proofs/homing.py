@@ -20,7 +20,7 @@ from gspn_framework_package.analysis.proofs.checker import (
     alone,
     at_rest,
     fires_alone,
-    keeps_robots,
+    keeps_their_number,
 )
 from gspn_framework_package.analysis.proofs.prover import Candidate, Prover
 from gspn_framework_package.analysis.watch import Watch
@@ -79,7 +79,7 @@ class Homing:
         net, homes, settling = self._problem.net, self._homes, self._problem.settling
         going_on = {net.inputs[t][0][0] for t in settling if len(net.inputs[t]) == 1}
         found: Ways = {p: {} for p in sorted(self._robots - going_on)}
-        for limit in STEPS if homes and keeps_robots(self._problem) else ():
+        for limit in STEPS if homes and keeps_their_number(self._problem) else ():
             leading = [_towards(found, home) for home in homes]
             for p in homes if limit > STEPS_FROM_EVERYWHERE else found:
                 enough = all if p in homes else any
