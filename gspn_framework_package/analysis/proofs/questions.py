@@ -146,7 +146,11 @@ def _of_net(net: Net, question: MarkingQuestion, watch: Watch) -> Problem:
         return Problem(net, everything, facts, is_bad, net.enabled)
     if question.kind == FIRES:
         t = net.transition_number(question.about)
-        return Problem(net, everything, guard(net, t), lambda m: t in net.enabled(m), net.enabled)
+        facts = (
+            *guard(net, t),
+            *(_disabled(net, u) for u in _taking_precedence(net, t, everything)),
+        )
+        return Problem(net, everything, facts, lambda m: t in net.enabled(m), net.enabled)
     facts = tuple(_disabled(net, t) for t in simplest_first(net, everything))
     return Problem(net, everything, facts, lambda m: not net.enabled(m), net.enabled)
 
@@ -183,21 +187,22 @@ def _never_back(condition: Condition, net: Net) -> Tuple[Formula, ...]:
     except LimitError:
         return ()
     steps = nearing(net, goal, range(len(net.places)), range(len(net.transitions)))
-
-    others = [
-        (u, net.transitions[u])
-        for u in sorted(set(range(len(net.transitions))).difference(steps))
-        if not net.transitions[u].timed
-    ]
+    nearer = set(steps)
+    others = [u for u, o in enumerate(net.transitions) if not o.timed and u not in nearer]
     if len(steps) * len(others) > MOST_PROOF_ROWS:
         return ()
 
     def cannot_fire(t: int) -> Formula:
-        mine = net.transitions[t]
-        before = [u for u, other in others if mine.timed or other.priority > mine.priority]
-        return Some((_disabled(net, t), *(All(guard(net, u)) for u in before)))
+        before = (All(guard(net, u)) for u in _taking_precedence(net, t, others))
+        return Some((_disabled(net, t), *before))
 
     return (opposite(goal), *map(cannot_fire, simplest_first(net, steps)))
+
+
+def _taking_precedence(net: Net, t: int, others: Iterable[int]) -> List[int]:
+    """Those of the others that fire before transition number ``t``."""
+    mine, immediate = net.transitions[t], (u for u in others if not net.transitions[u].timed)
+    return [u for u in immediate if mine.timed or net.transitions[u].priority > mine.priority]
 
 
 def _disabled(net: Net, t: int) -> Formula:
@@ -272,22 +277,10 @@ class _OfPlan:
             how = {DEAD: self._dead, FIRES: self._fires, NO_ROW: self._gap}[kind]
             facts = (*self._not_over(), *(fact for fact in how() if not _is_true(fact)))
             is_bad = self._exactly(facts)
-        surely, settles = None, []
-        if kind == CAN_MOVE and self._until is None:
-            surely = self._stuck
-        if surely or robots:
-            settles = settling(net, self._by_themselves())
-        return Problem(
-            net,
-            self._firing(),
-            facts,
-            is_bad,
-            self.fires,
-            surely,
-            tuple(settles),
-            self._chosen,
-            robots,
-        )
+        surely = self._stuck if kind == CAN_MOVE and self._until is None else None
+        settles = settling(net, self._by_themselves()) if surely or robots else []
+        more = surely, tuple(settles), self._chosen, robots
+        return Problem(net, self._firing(), facts, is_bad, self.fires, *more)
 
     def _counts_no_robots(self) -> bool:
         """Whether counts of robots decide on no firing, other than that it needs one."""

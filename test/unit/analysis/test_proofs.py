@@ -37,6 +37,7 @@ from gspn_framework_package.analysis.proofs.ladder import (
 from gspn_framework_package.analysis.proofs.prover import solver_available
 from gspn_framework_package.analysis.proofs.questions import (
     DEAD,
+    FIRES,
     NEVER,
     MarkingQuestion,
     problem_of,
@@ -292,6 +293,18 @@ def test_a_marked_trap_excludes_what_the_state_equation_allows(monkeypatch):
     assert never_dead(net)
     monkeypatch.setattr(prover, "largest_trap", lambda *given, **more: ())
     assert not never_dead(net)
+
+
+def test_what_waits_for_precedence_in_vain_never_fires_however_many_markings_there_are():
+    builder = NetBuilder("busy").place("on", tokens=1).place("log").place("off")
+    builder.immediate("first", priority=2, inputs="on", outputs=["on", "log"])
+    builder.immediate("second", priority=1, inputs="on", outputs="off")
+    net = builder.exponential("timed", inputs="on", outputs="off").build()
+    verdicts = {
+        name: decide_question(net, MarkingQuestion(FIRES, name), limit=50).verdict
+        for name in ("first", "second", "timed")
+    }
+    assert verdicts == {"first": VIOLATED, "second": PROVEN, "timed": PROVEN}
 
 
 def test_what_is_too_large_stays_open(monkeypatch):
