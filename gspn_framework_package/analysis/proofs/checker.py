@@ -246,12 +246,12 @@ def check_tree(
 
 def _check_reason(box: CountBox, facts: Sequence[Formula], reason: Any) -> None:
     """Require that no marking of ``box`` fulfils all ``facts``, for a reason: items ``[times, fact,
-    which]``. One item says that this fact cannot hold. Several say that the sum of inequalities
-    that facts imply cannot: each of them, ``which`` in the list of its fact, that many times.
+    which]``. One of these facts cannot hold, or the sum of inequalities that they imply cannot:
+    each of them, ``which`` in the list of its fact, that many times.
 
     :raises ProofError: it is none.
     """
-    if box.empty or (len(reason) == 1 and not box.allows(facts[reason[0][1]])):
+    if box.empty or not all(box.allows(facts[fact]) for _, fact, _ in reason):
         return
     total: Dict[int, int] = {}
     least = 0

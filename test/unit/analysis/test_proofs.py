@@ -23,8 +23,12 @@ from gspn_framework_package.analysis.preflight.markings import COUNTS_BEFORE_PRO
 from gspn_framework_package.analysis.preflight.report import Severity
 from gspn_framework_package.analysis.proofs import checker, policy_rows, prover, witness
 from gspn_framework_package.analysis.proofs.checker import (
+    Atom,
+    CountBox,
     ProofError,
+    Some,
     check_certificate,
+    check_tree,
     fulfils,
 )
 from gspn_framework_package.analysis.proofs.conditions import formula_of
@@ -90,6 +94,7 @@ def test_answers_are_those_of_visiting_all_markings(subjects, number, monkeypatc
             expected = can_be_reached(subject, question)
             answer = decide_question(subject, question, limit=1, seconds=60.0)
             problem = problem_of(subject, question)
+            assert "not accepted" not in str(answer.steps)
             count[answer.verdict] += 1
             if answer.verdict == PROVEN:
                 assert expected in (False, None), (question, answer)
@@ -525,6 +530,12 @@ def test_a_forged_certificate_is_refused(name):
     check_certificate(problem, certificate)
     with pytest.raises(ProofError):
         check_certificate(problem, FORGED[name](certificate))
+
+
+def test_a_sum_with_a_fact_that_cannot_hold_by_itself_is_a_reason():
+    possible, impossible = Atom(((0, 4), (1, -1)), 4), Atom(((0, -4), (1, 1)), 2)
+    facts = [Some((impossible,)), Some((possible, Atom(((0, 1),), 3)))]
+    check_tree(CountBox([1, 0], [1, 0]), facts, [{"steps": [], "end": [[1, 1, 0], [1, 0, 0]]}])
 
 
 def test_a_certificate_of_something_else_is_refused():
