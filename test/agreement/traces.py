@@ -21,7 +21,19 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple, Type, Union
+from typing import (
+    Any,
+    Dict,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+    Type,
+    Union,
+)
 from unittest import mock
 
 from agreement.plans import STEERED, make_plan
@@ -85,13 +97,16 @@ class Notes:
         self.steps: Trace = []
         self.logs: Dict[str, List[str]] = {name: [] for name in names}  # ids, as they appear
         self.tasks: Dict[str, int] = {}  # the numbers of tasks, as they appear
+        self.alone: Set[Origin] = set()  # the local transitions: records of slots do not say so
         self.busy: List[str] = []  # what a robot does that is one step of the specification
         self.ended = False  # something happened that traces do not know
 
     def _item(self, item: Item) -> str:
         robot, incarnation, number, log = item.origin
         by = of = self.robots[robot]
-        name, life = "Move" if item.private else "Done", 0
+        if item.private:
+            self.alone.add(item.origin)
+        name, life = "Move" if item.origin in self.alone else "Done", 0
         if isinstance(item.entry, log_entries.Join):
             name, life = "Join", item.entry.incarnation
         elif isinstance(item.entry, log_entries.Evict):
