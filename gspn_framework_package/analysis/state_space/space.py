@@ -50,9 +50,9 @@ _SPARSE = 1 << 15
 """If all transitions together need more machine words than this, markings are explored one at a
 time, as differences."""
 
-_SMALL = 1_500_000
-"""Up to this many states, numpy finishes before numba's machine code is loaded, which takes
-more than a second."""
+_SMALL = 600_000
+"""Up to this many states, numpy takes no longer than loading numba's machine code and exploring
+with it. What is larger is begun again."""
 
 _FEW_ROUNDS = 5_000
 """Largest number of rounds of that attempt with numpy (about a second): numpy is slow if the graph
