@@ -192,8 +192,7 @@ export class WhatIf {
     if (!throughput) return "";
     const pace =
       name === ALL ? Object.values(throughput).reduce((a, b) => a + b, 0) : throughput[name];
-    const count = number(Math.round(pace * end));
-    return ` Exactly ${count} on average in the long run (Markov chain of ${number(states)} states).`;
+    return ` Exactly ${number(pace * end)} on average in the long run (Markov chain of ${number(states)} states).`;
   }
 
   draw() {
