@@ -444,9 +444,7 @@ def _or_nan(function: Callable[..., Any]) -> Callable[..., Any]:
 def _extreme(function: Callable[..., Any]) -> Callable[..., Any]:
     """Make ``min`` or ``max`` return NaN if any argument is NaN; with Python's own, the result
     depends on the order of the arguments."""
-    return lambda *values: (
-        math.nan if any(value != value for value in values) else function(*values)
-    )
+    return lambda *values: math.nan if any(value != value for value in values) else function(values)
 
 
 def _is_not_equal(a: Any, b: Any) -> bool:

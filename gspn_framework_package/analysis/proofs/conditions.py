@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from fractions import Fraction
-from typing import Any, Callable, Dict, NamedTuple, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Sequence, Tuple
 
 from gspn_framework_package.analysis.proofs.checker import (
     FALSE,
@@ -21,6 +22,9 @@ from gspn_framework_package.model.net import Net
 
 _FINEST, _LARGEST = 1 << 16, 1 << 24
 """The numbers of conditions with which floats compute exactly: multiples of a power of 1/2."""
+
+_MOST_CASES = 64
+"""Most cases of a value: which of its minima and maxima are which of their parts."""
 
 
 def condition_of(text: str, net: Net) -> Condition:
@@ -64,23 +68,35 @@ def formula_of(condition: Condition) -> Formula:
     :raises LimitError: it is not linear, or its numbers are such that floats would round.
     """
     counts = {
-        p: _Sum({p: Fraction(1)}, Fraction(0)) for step, p in condition.program if step == "place"
+        p: [_Case((), _Sum({p: Fraction(1)}, Fraction(0)))]
+        for step, p in condition.program
+        if step == "place"
     }
     return _as_formula(run_program(condition.program, counts, {}, _Steps()))
 
 
+class _Case(NamedTuple):
+    """What a value is where some inequalities hold: ``min(a, b)`` is one or the other."""
+
+    where: Tuple[Formula, ...]
+    total: _Sum
+
+
 class _Steps(Dict[str, Callable[..., Any]]):
-    """What the steps of a condition's program do with sums and formulas."""
+    """What the steps of a condition's program do with the cases of values, and with formulas."""
 
     def __init__(self) -> None:
         super().__init__()
-        self["+"] = lambda a, b: _as_sum(a).plus(_as_sum(b), Fraction(1))
-        self["-"] = lambda a, b: _as_sum(a).plus(_as_sum(b), Fraction(-1))
-        self["negate"] = lambda a: _times(_as_sum(a), Fraction(-1))
-        self["*"] = _product
-        self["/"] = lambda a, b: _product(a, _inverse(b))
-        self[">="] = lambda a, b: self["-"](a, b).at_least(0)
-        self[">"] = lambda a, b: self["-"](a, b).at_least(1)
+        self["+"] = _of_cases(lambda a, b: a.plus(b, Fraction(1)))
+        self["-"] = _of_cases(lambda a, b: a.plus(b, Fraction(-1)))
+        self["negate"] = _of_cases(lambda a: _times(a, Fraction(-1)))
+        self["*"] = _of_cases(_product)
+        self["/"] = _of_cases(lambda a, b: _product(a, _inverse(b)))
+        self["min"] = lambda *parts: _one_of(parts, lambda a, b: _at_least(b, a, 0))
+        self["max"] = lambda *parts: _one_of(parts, lambda a, b: _at_least(a, b, 0))
+        self["abs"] = lambda a: self["max"](a, self["negate"](a))
+        self[">="] = lambda a, b: _compared(a, b, lambda a, b: _at_least(a, b, 0))
+        self[">"] = lambda a, b: _compared(a, b, lambda a, b: _at_least(a, b, 1))
         self["<="] = lambda a, b: self[">="](b, a)
         self["<"] = lambda a, b: self[">"](b, a)
         self["=="] = lambda a, b: All((self[">="](a, b), self["<="](a, b)))
@@ -93,35 +109,78 @@ class _Steps(Dict[str, Callable[..., Any]]):
         raise LimitError("not decided: a condition with '%s' is not linear" % step)
 
 
+def _of_cases(compute: Callable[..., _Sum]) -> Callable[..., List[_Case]]:
+    """What a computation with sums does with values of several cases."""
+
+    def computed(*values: Any) -> List[_Case]:
+        return [_Case(where, compute(*sums)) for where, sums in _together(values)]
+
+    return computed
+
+
+def _together(values: Sequence[Any]) -> List[Tuple[Tuple[Formula, ...], Tuple[_Sum, ...]]]:
+    """The cases of several values at once."""
+    cases = list(map(_as_cases, values))
+    if math.prod(map(len, cases)) > _MOST_CASES:
+        raise LimitError("not decided: the condition has more than %d cases" % _MOST_CASES)
+    return [
+        (tuple(fact for case in each for fact in case.where), tuple(case.total for case in each))
+        for each in itertools.product(*cases)
+    ]
+
+
+def _one_of(parts: Sequence[Any], before: Callable[[_Sum, _Sum], Atom]) -> List[_Case]:
+    """The value that comes before all others, the first of equal ones."""
+    found = []
+    for where, sums in _together(parts):
+        for k, total in enumerate(sums):
+            facts = [opposite(before(other, total)) for other in sums[:k]]
+            facts += [before(total, other) for other in sums[k + 1 :]]
+            found.append(_Case((*where, *facts), total))
+    return found
+
+
+def _compared(a: Any, b: Any, compare: Callable[[_Sum, _Sum], Atom]) -> Formula:
+    parts = [(*where, compare(*sums)) for where, sums in _together((a, b))]
+    if len(parts) == 1 and len(parts[0]) == 1:
+        return parts[0][0]
+    return Some(tuple(map(All, parts)))
+
+
+def _at_least(a: _Sum, b: _Sum, more: int) -> Atom:
+    return a.plus(b, Fraction(-1)).at_least(more)
+
+
 def _as_formula(value: Any) -> Formula:
     if isinstance(value, bool):
         return TRUE if value else FALSE
     return value
 
 
-def _as_sum(value: Any) -> _Sum:
-    if isinstance(value, _Sum):
+def _as_cases(value: Any) -> List[_Case]:
+    if isinstance(value, list):
         return value
-    number = Fraction(value)
+    return [_Case((), _Sum({}, _exact(Fraction(value))))]
+
+
+def _exact(number: Fraction) -> Fraction:
     finest = number.denominator
     if finest > _FINEST or finest & (finest - 1) or abs(number) > _LARGEST:
-        raise LimitError("not decided: the condition has the number %s" % value)
-    return _Sum({}, number)
+        raise LimitError("not decided: the condition has the number %s" % number)
+    return number
 
 
 def _times(total: _Sum, times: Fraction) -> _Sum:
     return _Sum({}, Fraction(0)).plus(total, times)
 
 
-def _inverse(value: Any) -> Fraction:
-    number = _as_sum(value)
+def _inverse(number: _Sum) -> _Sum:
     if number.weights or number.constant == 0:
         raise LimitError("not decided: a condition that divides by counts is not linear")
-    return 1 / number.constant
+    return _Sum({}, _exact(1 / number.constant))
 
 
-def _product(a: Any, b: Any) -> _Sum:
-    left, right = _as_sum(a), _as_sum(b)
+def _product(left: _Sum, right: _Sum) -> _Sum:
     if left.weights and right.weights:
         raise LimitError("not decided: a condition with a product of counts is not linear")
     return _times(left, right.constant) if left.weights else _times(right, left.constant)

@@ -333,7 +333,7 @@ def test_what_comes_after_exploring_keeps_the_time_too(monkeypatch):
     """Every look at the policy takes a second, of which there are five."""
     plan, clock = read_plan(str(PLANS / "patrol")), [0.0]
     monkeypatch.setattr(watch, "time", SimpleNamespace(monotonic=lambda: clock[0]))
-    question = MarkingQuestion(NEVER, " + ".join(plan.net.place_index) + " >= 100 * min(1, 1)")
+    question = MarkingQuestion(NEVER, " + ".join(plan.net.place_index) + " >= 100 * sqrt(1)")
     look = PolicyTable.choices
 
     def slow_look(*given):
@@ -415,7 +415,16 @@ def test_a_report_has_what_proofs_and_searches_find_beyond_its_limit():
 # -- conditions ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("text", [*SHAPES[:-1], "0.25 * (%(a)s + 1) - %(b)s < -%(m)d", "true"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        *SHAPES,
+        "0.25 * (%(a)s + 1) - %(b)s < -%(m)d",
+        "true",
+        "not max(%(a)s, 2 * %(b)s, 3) - min(%(a)s, %(b)s, %(m)d) >= 3 or min(%(a)s) == 5",
+        "abs(%(a)s - %(b)s) / 2 != max(min(%(a)s, %(m)d), %(n)d)",
+    ],
+)
 def test_a_condition_means_the_same_as_inequalities(text):
     draw = random.Random(1)
     condition = parse_condition(text % {"a": "a", "b": "b", "m": 2, "n": 1}, ["a", "b"])
@@ -425,7 +434,7 @@ def test_a_condition_means_the_same_as_inequalities(text):
         assert fulfils(formula, marking) == condition.holds(marking), marking
 
 
-@pytest.mark.parametrize("text", ["a * b > 1", "min(a, b) > 1", "a / 3 > 1", "0.1 * a > 1"])
+@pytest.mark.parametrize("text", ["a * b > 1", "sqrt(a) > 1", "a / 3 > 1", "0.1 * a > 1"])
 def test_what_is_not_linear_is_left_to_exploration(text):
     with pytest.raises(LimitError):
         formula_of(parse_condition(text, ["a", "b"]))

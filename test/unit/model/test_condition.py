@@ -30,6 +30,7 @@ def holds_in(condition, markings, labels=()):
         ("(p3 + robots_at_base) * 2 - 1 >= 2^3 / 2", (1, 2, 0, 0), True),
         ("!(p3 != 1) && robots_at_base <> 3 | false", (1, 2, 0, 0), True),
         ("min(p3, robots_at_base, 4) = 2", (3, 2, 0, 0), True),
+        ("min(p3) + max(robots_at_base) = 5", (3, 2, 0, 0), True),
         ("p3 / robots_at_base >= 0", (1, 0, 0, 0), False),
         ("p3 / robots_at_base != 0", (1, 0, 0, 0), False),
         ("'and' >= 1", (0, 0, 0, 1), True),
