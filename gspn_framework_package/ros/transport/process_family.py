@@ -64,7 +64,7 @@ def _look_up_in_all_classes() -> None:
     """Let Python number all classes for its cache of attributes, as the first look-up in a class
     does. Otherwise each process writes these numbers into pages that it could share."""
     for found in gc.get_objects():
-        if isinstance(found, type):
+        if issubclass(type(found), type):  # isinstance asks proxies, which answer for their objects
             type.__getattribute__(found, "__init__")  # "__doc__" is found without a look-up
 
 

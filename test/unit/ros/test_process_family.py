@@ -1,11 +1,13 @@
 """Processes that are forked from one parent live and die with it."""
 
+import gc
 import os
 import signal
 import subprocess
 import sys
 import textwrap
 import threading
+import weakref
 
 import pytest
 from waiting import wait_for
@@ -166,5 +168,7 @@ def test_python_has_numbered_every_class_before_the_fork():
 
     has_number = 1 << 19  # Py_TPFLAGS_VALID_VERSION_TAG
     assert not New.__flags__ & has_number
+    proxy = weakref.proxy(New)  # says that it is a class, which it is not
+    assert isinstance(proxy, type) and any(found is proxy for found in gc.get_objects())
     process_family._look_up_in_all_classes()
     assert New.__flags__ & has_number
