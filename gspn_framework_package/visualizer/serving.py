@@ -62,6 +62,7 @@ class WebServer:
         check_tokens(token, viewer_token)
         logging.getLogger("waitress.queue").setLevel(logging.ERROR)
         self.project = project
+        self._begun = threading.Event()
         self._stopped = False
         try:
             self._server = Server(
@@ -118,6 +119,7 @@ class WebServer:
         self._thread.start()
 
     def _serve(self) -> None:
+        self._begun.set()
         try:
             self._server.run()
         finally:
@@ -128,6 +130,8 @@ class WebServer:
         if self._stopped:
             return
         self._stopped = True
+        if self._thread is not None and not self._begun.wait(LAST_REQUESTS):
+            self._thread = None  # an interrupt came before it began
         streams = self._app.extensions["gspn_streams"]
         streams.close()
         self._app.extensions["gspn_jobs"].close()

@@ -24,7 +24,8 @@ from waiting import PATIENCE, wait_for
 from benchmarks.page.viewers import measure_memory
 from gspn_framework_package import visualizer
 from gspn_framework_package.cli.main import main
-from gspn_framework_package.visualizer.documents import Document
+from gspn_framework_package.visualizer import serving
+from gspn_framework_package.visualizer.documents import Document, Folder
 from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.serving import WebServer
 from gspn_framework_package.visualizer.session import Session
@@ -353,3 +354,21 @@ def test_the_page_names_all_its_modules_so_that_they_load_at_once():
     static = Path(visualizer.__file__).parent / "static"
     named = set(re.findall(r'"/static/js/([a-z_/]+\.js)"', (static / "index.html").read_text()))
     assert named == {path.relative_to(static / "js").as_posix() for path in static.rglob("*.js")}
+
+
+@pytest.mark.parametrize("begins", [False, True])
+def test_an_interrupt_while_its_thread_starts_is_no_error(begins, tmp_path, monkeypatch):
+    class Interrupted(threading.Thread):
+        def start(self):
+            if begins:
+                threading.Timer(0.1, super().start).start()
+            raise KeyboardInterrupt
+
+    server = WebServer(Project(Folder(str(tmp_path))), port=0)
+    monkeypatch.setattr(serving, "LAST_REQUESTS", 1.0)
+    with monkeypatch.context() as patched:
+        patched.setattr(serving.threading, "Thread", Interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            server.start()
+    server.stop()
+    assert server.ended.is_set() == begins
