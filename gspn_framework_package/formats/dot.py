@@ -180,8 +180,7 @@ def to_bytes(net: Net) -> bytes:
 
 def _positions(net: Net) -> Dict[str, Point]:
     """Return the positions of the nodes, if all nodes have one and they are not all the same."""
-    found = {p.name: p.position for p in net.places if p.position is not None}
-    found.update((t.name, t.position) for t in net.transitions if t.position is not None)
+    found = net.positions
     if len(found) < len(net.places) + len(net.transitions) or len(set(found.values())) < 2:
         return {}
     return found

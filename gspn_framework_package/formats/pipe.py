@@ -334,6 +334,7 @@ def to_bytes(net: Net) -> bytes:
             )
             _write_value(node, "priority", str(transition.priority))
         used: Set[str] = set()
+        drawn = net.positions
         for arc in net.arcs:
             identifier = unused("%s to %s" % (arc.source, arc.target), used)
             used.add(identifier)
@@ -343,7 +344,7 @@ def to_bytes(net: Net) -> bytes:
             etree.SubElement(node, "graphics")
             _write_value(node, "inscription", "%s,%d" % (_DEFAULT_CLASS, arc.weight))
             _write_value(node, "tagged", "false")
-            _write_path(node, net, arc)
+            _write_path(node, drawn, arc)
             etree.SubElement(node, "type", value="inhibitor" if arc.inhibitor else "normal")
     return serialise(root)
 
@@ -357,14 +358,12 @@ def _write_node(
     return node
 
 
-def _write_path(parent: etree._Element, net: Net, arc: Arc) -> None:
+def _write_path(parent: etree._Element, drawn: Mapping[str, Point], arc: Arc) -> None:
     """Write the bends of an arc between its ends; PIPE itself puts those at the symbols' edges."""
-    places, transitions = net.place_index, net.transition_index
-    ends = [
-        (net.places[places[n]] if n in places else net.transitions[transitions[n]]).position
-        for n in (arc.source, arc.target)
-    ]
-    way = [ends[0] or arc.bends[0], *arc.bends, ends[1] or arc.bends[-1]] if arc.bends else []
+    if not arc.bends:
+        return
+    begin, end = drawn.get(arc.source, arc.bends[0]), drawn.get(arc.target, arc.bends[-1])
+    way = [begin, *arc.bends, end]
     write_points(parent, "arcpath", [(round(x + _HALF, 9), round(y + _HALF, 9)) for x, y in way])
     for number, point in enumerate(all_of(parent, "arcpath")):
         point.set("id", "%03d" % number)

@@ -304,6 +304,12 @@ class Net:
             after[p] += change
         return tuple(after)
 
+    @property
+    def positions(self) -> Dict[str, Point]:
+        """Where nodes are in the drawing, by name; without those that have no position."""
+        nodes: List[Union[Place, Transition]] = [*self.places, *self.transitions]
+        return {node.name: node.position for node in nodes if node.position is not None}
+
     @cached_property
     def immediate_from(self) -> Tuple[Tuple[int, ...], ...]:
         """The immediate transitions that take from each place."""

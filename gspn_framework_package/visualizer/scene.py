@@ -71,15 +71,15 @@ def _bends(net: Net, layout: Layout) -> Dict[int, List[List[float]]]:
     found: Dict[int, List[List[float]]] = {}
     if layout.engine != "file":
         return {}
-    nodes = {place.name: place.position for place in net.places}
-    nodes.update((t.name, t.position) for t in net.transitions)
+    drawn = net.positions
     for number, arc in enumerate(net.arcs):
-        here = nodes[arc.source], nodes[arc.target]
-        if not arc.bends or here[0] is None or here[1] is None:
+        ends = arc.source, arc.target
+        if not arc.bends or not drawn.keys() >= set(ends):
             continue
-        apart = math.dist(here[0], here[1])
-        scale = math.dist(*(layout.positions[n] for n in arc[:2])) / apart if apart else 1.0
-        x, y = ((a + b) / 2 for a, b in zip(here[0], here[1]))
+        here = [drawn[name] for name in ends]
+        apart = math.dist(*here)
+        scale = math.dist(*(layout.positions[name] for name in ends)) / apart if apart else 1.0
+        x, y = ((a + b) / 2 for a, b in zip(*here))
         found[number] = [_rounded((scale * (bx - x), scale * (by - y))) for bx, by in arc.bends]
     return found
 

@@ -92,11 +92,11 @@ class _Steps(Dict[str, Callable[..., Any]]):
         self["negate"] = _of_cases(lambda a: _times(a, Fraction(-1)))
         self["*"] = _of_cases(_product)
         self["/"] = _of_cases(lambda a, b: _product(a, _inverse(b)))
-        self["min"] = lambda *parts: _one_of(parts, lambda a, b: _at_least(b, a, 0))
-        self["max"] = lambda *parts: _one_of(parts, lambda a, b: _at_least(a, b, 0))
+        self["min"] = lambda *parts: _one_of(parts, lambda a, b: _no_less(b, a))
+        self["max"] = lambda *parts: _one_of(parts, _no_less)
         self["abs"] = lambda a: self["max"](a, self["negate"](a))
-        self[">="] = lambda a, b: _compared(a, b, lambda a, b: _at_least(a, b, 0))
-        self[">"] = lambda a, b: _compared(a, b, lambda a, b: _at_least(a, b, 1))
+        self[">="] = lambda a, b: _compared(a, b, _no_less)
+        self[">"] = lambda a, b: _compared(a, b, _above)
         self["<="] = lambda a, b: self[">="](b, a)
         self["<"] = lambda a, b: self[">"](b, a)
         self["=="] = lambda a, b: All((self[">="](a, b), self["<="](a, b)))
@@ -147,8 +147,12 @@ def _compared(a: Any, b: Any, compare: Callable[[_Sum, _Sum], Atom]) -> Formula:
     return Some(tuple(map(All, parts)))
 
 
-def _at_least(a: _Sum, b: _Sum, more: int) -> Atom:
-    return a.plus(b, Fraction(-1)).at_least(more)
+def _no_less(a: _Sum, b: _Sum) -> Atom:
+    return a.plus(b, Fraction(-1)).at_least(0)
+
+
+def _above(a: _Sum, b: _Sum) -> Atom:
+    return a.plus(b, Fraction(-1)).at_least(1)
 
 
 def _as_formula(value: Any) -> Formula:

@@ -20,12 +20,12 @@ WORTH_COMPILING = 20_000
 """After this many firings in plain Python (a second or two), the compiled form takes over, if numba
 is installed."""
 
-
 MANY_FIRINGS = 200_000
 """More firings than this in plain Python (ten seconds or more) are worth a note."""
 
 SLOW = "numba would simulate about twenty times as fast (%s)" % how_to_install("numba")
 """The note."""
+
 _LOOPS = ("play", "race")
 
 
