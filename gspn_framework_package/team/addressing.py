@@ -59,13 +59,15 @@ def robots_of_run(
 
 def whom_to_order(there: Mapping[Address, Dict[str, Any]], command: str, robot: str) -> Address:
     """The address to send an order to: preferably the robot's own node (unless the order is
-    against that robot), otherwise a node that has a vote."""
+    against that robot), otherwise a node that has a vote, and of these one with the longest log:
+    the others may not have heard yet of what the operator has seen."""
     own_last = ORDERS[command].against_robot
     return min(
         there,
         key=lambda at: (
             (there[at]["robot"] == robot) == own_last,
             not (there[at]["active"] or there[at].get("torn")),
+            -int(there[at]["log_length"]),
             there[at]["robot"],
         ),
     )

@@ -15,6 +15,9 @@ POLL = 0.2
 VOTING_TIME = 30.0
 """Seconds that the members have by default to check a plan."""
 
+ADOPTED = "the run follows the plan"
+"""What is said where a robot had it adopted but did not say so in time."""
+
 Votes = Mapping[str, Optional[str]]
 """Member -> why it cannot follow the plan; "" if it can, None if it has not voted yet."""
 
@@ -58,11 +61,17 @@ def deploy_to_team(
         return DeployOutcome(True, text, stage, votes)
     if not message:
         done, message = order("adopt", str(stage))
-        if done:
-            return DeployOutcome(True, message, stage, votes)
+        # a robot that answers too late, or whose successor is asked then, may have had it adopted
+        if done or _newest(statuses()).get("adopted") == stage:
+            return DeployOutcome(True, message if done else ADOPTED, stage, votes)
     if stage:
         order("unstage", str(stage))
     return DeployOutcome(False, message, stage, votes)
+
+
+def _newest(statuses: List[Dict[str, Any]]) -> Dict[str, Any]:
+    """The status of the robot that knows most; empty if none answers."""
+    return max(statuses, key=lambda status: int(status["log_length"]), default={})
 
 
 def _wait_for_votes(
@@ -77,8 +86,7 @@ def _wait_for_votes(
     stage, votes = 0, {}  # type: int, Votes
     while time.monotonic() < deadline:
         # the robot with the longest log knows the most votes
-        newest = max(statuses(), key=lambda s: int(s["log_length"]), default=None)
-        staged = newest.get("staged") if newest else None
+        staged = _newest(statuses()).get("staged")
         if staged is not None and staged["digest"] == digest:
             if staged["votes"] != votes:
                 tell(staged["votes"])

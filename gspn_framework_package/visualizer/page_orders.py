@@ -68,6 +68,7 @@ class PageOrders:
 
     def __init__(self, team: OrderedTeam, connection: TeamConnection) -> None:
         self._team, self._connection = team, connection
+        self._lengths: Dict[str, int] = {}
         self._line = connection.line(LONGEST_ORDER_TIME)
         self.commands: Dict[str, Handler] = {
             command: self._handler(command, kind)
@@ -95,7 +96,9 @@ class PageOrders:
 
         def statuses() -> List[Dict[str, Any]]:
             found = self._team.statuses(sorted(self._team.names), line)
-            return [status for _, status in found if status["run"] == self._team.run]
+            ours = {at: status for at, status in found if status["run"] == self._team.run}
+            self._lengths.update({at: int(status["log_length"]) for at, status in ours.items()})
+            return list(ours.values())
 
         try:
             return deploy_to_team(order, statuses, stage_of(plan, mapping), tell=tell)
@@ -156,7 +159,16 @@ class PageOrders:
 
     def _first_to_order(self, command: str, robot: str) -> List[str]:
         """The addresses of the run's robots, in the order to try them: first the robot concerned
-        (or last, if the order evicts it), and at the end those that are gone."""
+        (or last, if the order evicts it), then whoever had the longest log when it was last asked,
+        and at the end those that are gone."""
         names, gone = self._team.names, self._team.gone
         own_last = ORDERS[command].against_robot
-        return sorted(names, key=lambda n: (names[n] in gone, (names[n] == robot) == own_last, n))
+        return sorted(
+            names,
+            key=lambda n: (
+                names[n] in gone,
+                (names[n] == robot) == own_last,
+                -self._lengths.get(n, 0),
+                n,
+            ),
+        )

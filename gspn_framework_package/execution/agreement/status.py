@@ -160,6 +160,7 @@ class Status:
             "robots": [self._robot_as_json(robot) for robot in team.robots.values()],
             "plan_name": state.ledger.game.plan.name,
             "staged": self._staged_as_json(),
+            "adopted": team.adopted.number if team.adopted is not None else 0,
         }
 
     def _staged_as_json(self) -> Optional[Dict[str, Any]]:

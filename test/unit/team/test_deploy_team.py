@@ -18,8 +18,9 @@ BROKEN = "measure: there is no function 'actions.measure'"
 class Told:
     """A team whose votes the test gives, one after the other."""
 
-    def __init__(self, *votes, refuses=(), digest=ENTRY.digest):
+    def __init__(self, *votes, refuses=(), digest=ENTRY.digest, adopted=0):
         self.votes, self.refuses, self.digest = list(votes), dict(refuses), digest
+        self.adopted = adopted
         self.ordered, self.heard = [], []
 
     def order(self, command, text):
@@ -30,7 +31,8 @@ class Told:
         votes = self.votes.pop(0) if len(self.votes) > 1 else self.votes[0]
         staged = votes and {"stage": 3, "plan": "m", "digest": self.digest, "votes": votes}
         behind = {"run": "monday", "log_length": 4, "staged": None}
-        return [behind, {"run": "monday", "log_length": 7, "staged": staged}]
+        newest = {"run": "monday", "log_length": 7, "staged": staged, "adopted": self.adopted}
+        return [behind, newest]
 
     def deploy(self, **options):
         outcome = deploy_to_team(
@@ -80,6 +82,14 @@ def test_a_refusal_is_a_sentence_and_the_stage_is_given_up(team, says):
     assert not outcome.done and outcome.message == says
     assert commands[-1] == ("unstage" if outcome.stage else "stage")
     assert team.ordered[-1] in (("unstage", "3"), team.ordered[0])
+
+
+def test_a_plan_that_was_adopted_by_an_order_without_an_answer_in_time_is_adopted():
+    # the next robot was asked, and by then no plan was staged
+    team = Told({"a": ""}, refuses={"adopt": "no plan is staged"}, adopted=3)
+    outcome, commands = team.deploy()
+    assert outcome.done and outcome.message == deploy_team.ADOPTED
+    assert outcome.stage == 3 and commands == ["stage", "adopt"]
 
 
 def test_an_order_that_no_robot_takes_ends_it():
