@@ -13,8 +13,6 @@ import unittest
 from xmlrpc.client import ServerProxy
 
 import actionlib
-import rosgraph
-import rosnode
 import rospy
 import rostest
 from actionlib_msgs.msg import GoalStatus
@@ -47,7 +45,7 @@ class World:
     @classmethod
     def find(cls):
         """Ask the node which process it is."""
-        uri = rosnode.get_api_uri(rosgraph.Master("/test_world"), "/world")
+        uri = rospy.get_master().lookupNode("/world")[2]
         cls.pid = ServerProxy(uri).getPid("/test_world")[2]
         cls.began = rospy.get_time(), time.monotonic()
 
