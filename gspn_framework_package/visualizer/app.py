@@ -247,10 +247,12 @@ def _add_session(app: flask.Flask, project: Project, streams: Streams) -> None:
     @app.route("/api/moment")
     def event_at() -> Dict[str, Any]:
         hub = _session(project).hub
-        text = request.args.get("t", "")
-        if not re.fullmatch(r"[0-9]{1,9}(\.[0-9]{1,6})?", text):
-            raise UsageError("'t' must be a number of seconds")
-        return {"epoch": hub.epoch, "event": hub.event_at(float(text))}
+        return {"epoch": hub.epoch, "event": hub.event_at(_time())}
+
+    @app.route("/api/poses")
+    def poses_around() -> Dict[str, Any]:
+        hub = _session(project).hub
+        return {"epoch": hub.epoch, **hub.poses_around(_time())}
 
     @app.route("/api/events")
     def past_events() -> Dict[str, Any]:
@@ -437,6 +439,14 @@ def _number(key: str, default: int = 0) -> int:
     if not re.fullmatch("[0-9]{1,15}", text):
         raise UsageError("'%s' must be a whole number" % key)
     return int(text)
+
+
+def _time() -> float:
+    """The time of the run that a request names (s)."""
+    text = request.args.get("t", "")
+    if not re.fullmatch(r"[0-9]{1,9}(\.[0-9]{1,6})?", text):
+        raise UsageError("'t' must be a number of seconds")
+    return float(text)
 
 
 class _Stream:

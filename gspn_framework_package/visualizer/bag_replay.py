@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from typing import Any, Dict, List, Optional, Tuple
+import json
+from typing import Any, Collection, Dict, Iterator, List, Optional, Tuple
 
 from gspn_framework_package.formats.source import open_file
 from gspn_framework_package.model.errors import GspnError, LogError, UsageError
@@ -13,8 +14,18 @@ from gspn_framework_package.visualizer.board import Event, note_event
 from gspn_framework_package.visualizer.documents import Document, Folder
 from gspn_framework_package.visualizer.fired_follower import FiredFollower, FiredMessage
 from gspn_framework_package.visualizer.hub import Hub
+from gspn_framework_package.visualizer.poses import (
+    MAP_TYPE,
+    PoseTrack,
+    RobotPose,
+    map_to_json,
+    pose_sources,
+    robot_pose,
+)
 
 TYPE = "gspn_framework_package/FiredTransition"
+
+TEXT_TYPE = "std_msgs/String"
 
 MOST_EVENTS = 400_000
 
@@ -55,6 +66,7 @@ class BagReplay(Activity):
         self._others = [t for t, m in messages if m.run == run and m.plan != wanted]
         """Times at which the team fired under other plans, which a bag does not contain."""
         self._names = {name for _, message in self._messages for name in message.robots}
+        self._track = bag_track(path, self._names, self._messages[0][0])
         if len(self.plan.robots) != len(self._names):
             with contextlib.suppress(GspnError):  # the first message's marking decides then
                 self.plan = self.plan.for_robots(max(1, len(self._names)))
@@ -68,10 +80,9 @@ class BagReplay(Activity):
         follower = FiredFollower(self.plan)
         run = self._messages[0][1].run
         info: Dict[str, Any] = {"says": "run %s, recorded in a rosbag" % run}
-        hub.restart(
-            self.mode, follower.board({"running": False}, self._names), info, ring=MOST_EVENTS
-        )
         first = self._messages[0][0]
+        board = follower.board({"running": False}, self._names)
+        hub.restart(self.mode, board, info, ring=MOST_EVENTS, track=self._track)
         events: List[Event] = []
         t = 0.0
         for stamp, message in self._messages:
@@ -107,6 +118,58 @@ def read_bag(path: str) -> List[Tuple[float, FiredMessage]]:
     :raises LogError: the file is not a bag.
     :raises UsageError: ROS's reader of bags is not installed.
     """
+    with _opened(path) as bag:
+        topics = [topic for topic, kind in _topics(bag).items() if kind == TYPE]
+        return [
+            (t.to_sec(), message)
+            for _, message, t in (bag.read_messages(topics=topics) if topics else ())
+        ]
+
+
+def bag_track(path: str, names: Collection[str], begin: float) -> PoseTrack:
+    """Where robots were while a bag was recorded; without any poses if it has none.
+
+    :param names: those of the robots. The poses of one are on ``amcl_pose``, or else ``odom``, in a
+        namespace that ends in its name; a simulated world says those of all.
+    :param begin: the time of the bag's clock that is the beginning of the track (s).
+    :raises LogError: the file is not a bag, or a message in it cannot be read.
+    """
+    track = PoseTrack()
+    robots: Dict[str, RobotPose] = {}
+    with _opened(path) as bag:
+        topics = _topics(bag)
+        if topics and bag.get_end_time() < begin:  # of another time, or of a simulated clock
+            return track
+        world = topics.get("/world/state") == TEXT_TYPE
+        sources = {} if world else pose_sources(topics, names)
+        for topic, kind in (("/map", MAP_TYPE), ("/world/room", TEXT_TYPE)):
+            if topics.get(topic) == kind and world == (kind == TEXT_TYPE):
+                sources[topic] = ("", "")
+        wanted = [*sources, *(["/world/state"] if world else ())]
+        for topic, message, t in bag.read_messages(topics=wanted) if wanted else ():
+            if topic == "/map":
+                track.room = map_to_json(message)
+            elif topic == "/world/room":
+                track.room = json.loads(message.data)
+            elif topic == "/world/state":
+                robots = json.loads(message.data)["robots"]
+                track.add(max(0.0, t.to_sec() - begin), robots)
+            else:
+                name, suffix = sources[topic]
+                pose = robot_pose(message, suffix)
+                if pose is not None:
+                    robots[name] = pose
+                    track.add(max(0.0, t.to_sec() - begin), robots)
+    return track
+
+
+def _topics(bag: Any) -> Dict[str, str]:
+    return {name: info.msg_type for name, info in bag.get_type_and_topic_info().topics.items()}
+
+
+@contextlib.contextmanager
+def _opened(path: str) -> Iterator[Any]:
+    """A bag, open. What cannot be read in it is a :class:`LogError`."""
     try:
         import rosbag
     except ImportError:
@@ -117,16 +180,8 @@ def read_bag(path: str) -> List[Tuple[float, FiredMessage]]:
         ) from None
     try:
         with open_file(path) as file, rosbag.Bag(file) as bag:
-            topics = [
-                topic
-                for topic, info in bag.get_type_and_topic_info().topics.items()
-                if info.msg_type == TYPE
-            ]
-            return [
-                (t.to_sec(), message)
-                for _, message, t in (bag.read_messages(topics=topics) if topics else ())
-            ]
-    except (rosbag.ROSBagException, OSError, ValueError, EOFError) as error:
+            yield bag
+    except (rosbag.ROSBagException, OSError, ValueError, EOFError, KeyError, TypeError) as error:
         raise LogError("not a readable rosbag (%s)" % error, file=path) from None
 
 

@@ -18,6 +18,7 @@ from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Seque
 
 from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.visualizer.board import Board, Event
+from gspn_framework_package.visualizer.poses import PoseTrack
 
 RING = 20_000
 """Number of events kept, which limits how far viewers can catch up and how far back the scrubber
@@ -98,6 +99,7 @@ class Hub:
         info: Optional[Dict[str, Any]] = None,
         ring: Optional[int] = None,
         history: Optional[KeptEvents] = None,
+        track: Optional[PoseTrack] = None,
     ) -> None:
         """Begin a new epoch: another run, or another mode. Every viewer gets a snapshot.
 
@@ -107,9 +109,11 @@ class Hub:
         :param ring: a new number of events to keep; None: as before.
         :param history: the store in which events are looked up. Viewers then get the number of
             events instead of each event.
+        :param track: where the robots of a recorded run were.
         """
         with self._condition:
             self._history = history
+            self._recorded, self._track = track, track or PoseTrack()
             self._ring_size = ring or self._ring_size
             self._tap: Optional[Tap] = None
             self.mode = mode
@@ -124,6 +128,10 @@ class Hub:
             self._latest: Dict[str, Tuple[int, str]] = {}
             self._latest_number = 0
             self._last_event = time.monotonic()
+            if track:
+                self.set_latest("world", {"robots": track.first()})
+                if track.room is not None:
+                    self.set_latest("room", track.room)
             self._condition.notify_all()
 
     # -- the source's side -------------------------------------------------------------------------
@@ -183,6 +191,12 @@ class Hub:
                 self._latest_number += 1
                 self._latest[key] = (self._latest_number, text)
                 self._condition.notify_all()
+
+    def show_world(self, world: Dict[str, Any]) -> None:
+        """Publish where the robots are, and keep it for the time line."""
+        self.set_latest("world", world)
+        with self._condition:
+            self._track.add(time.monotonic() - self._started, world.get("robots", {}))
 
     def change_info(self, **info: Any) -> None:
         """Change the facts about this run; they are published as a latest value."""
@@ -316,6 +330,14 @@ class Hub:
             else:
                 low = middle
         return low
+
+    def poses_around(self, t: float) -> Dict[str, Any]:
+        """Where the robots were around ``t`` seconds after the beginning: see
+        :meth:`~gspn_framework_package.visualizer.poses.PoseTrack.around`."""
+        with self._condition:
+            if self._recorded is not None:
+                return self._track.around(t)
+            return self._track.around(t, time.monotonic() - self._started)
 
     def _slice(self, after: int, to: int) -> List[Event]:
         first = max(0, after - self._oldest.n)

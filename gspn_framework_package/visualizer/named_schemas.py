@@ -124,6 +124,12 @@ EVENT = object_with(
 )
 CHANGES = list_with({"kind": TEXT, "name": TEXT, "what": TEXT})
 EPOCH = {"epoch": TEXT}
+POSES: Dict[str, Schema] = {
+    **EPOCH,
+    "from": described_as(NUMBER, "the time from which the moments say all (s)"),
+    "to": described_as(NUMBER, "the time up to which they do"),
+    "moments": list_with({"t": NUMBER, "robots": map_to(OBJECT)}),
+}
 _RANGE = {"name": TEXT, "low": NUMBER, "high": NUMBER}
 ANALYSIS_FIELDS: Dict[str, Schema] = {
     "event?": described_as(WHOLE, "the event after which; without it, now"),

@@ -18,6 +18,7 @@ from gspn_framework_package.visualizer.named_schemas import (
     EDITORS,
     EPOCH,
     NAMED_SCHEMAS,
+    POSES,
     SCENE,
     STORY,
     WHAT_IF,
@@ -189,6 +190,9 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ),
     ("GET", "/api/moment"): ApiOperation(
         "event_at", "The last event up to a time; null if unknown.", ("id", "t"), answer=EVENT_AT
+    ),
+    ("GET", "/api/poses"): ApiOperation(
+        "poses_around", "Where the robots were around a time.", ("id", "t"), answer=POSES
     ),
     ("GET", "/api/events"): ApiOperation(
         "events",

@@ -20,7 +20,6 @@ from typing import (
     List,
     Mapping,
     Optional,
-    Sequence,
     Set,
     Tuple,
 )
@@ -59,6 +58,7 @@ from gspn_framework_package.visualizer.fired_follower import (
 from gspn_framework_package.visualizer.hub import Hub
 from gspn_framework_package.visualizer.live_comparison import Departures, LiveComparison
 from gspn_framework_package.visualizer.page_orders import PageOrder, PageOrders, StatusAnswer
+from gspn_framework_package.visualizer.poses import RobotPose
 from gspn_framework_package.visualizer.team_connection import (
     STATUS_TIME,
     TeamConnection,
@@ -301,17 +301,13 @@ class TeamWatch(Activity):
         self._hub.set_latest("room", room)
 
     def _on_world(self, world: Dict[str, Any]) -> None:
-        self._hub.set_latest("world", world)
+        self._hub.show_world(world)
 
-    def _on_poses(self, poses: Mapping[str, Sequence[Any]]) -> None:
-        """Show where the robots are. :param poses: address -> x, y, yaw, and the source of it."""
+    def _on_poses(self, poses: Mapping[str, RobotPose]) -> None:
+        """Show where the robots are. :param poses: address -> pose."""
         names = self.names
-        robots = {
-            names[address]: {"pose": list(pose[:3]), "by": pose[3]}
-            for address, pose in poses.items()
-            if address in names
-        }
-        self._hub.set_latest("world", {"robots": robots})
+        robots = {names[address]: pose for address, pose in poses.items() if address in names}
+        self._on_world({"robots": robots})
 
     def _on_map(self, room: Dict[str, Any]) -> None:
         self._hub.set_latest("room", room)

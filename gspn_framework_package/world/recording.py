@@ -1,10 +1,11 @@
 """Recorded runs of the world: JSON lines, the first with the room and the robots, then one per
-moment: the time, the poses of the robots, and, in a room with people, their positions (null for
-absent)."""
+moment: the time, the poses of the robots, in a room with people their positions (null for absent),
+and the time of the wall clock, by which the log of the run is found to be of the same moment."""
 
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, Mapping, Optional, TextIO, Tuple, Union
@@ -35,7 +36,12 @@ class Recorder:
             raise InputError(
                 "cannot write the recording: %s" % error.strerror, file=str(file)
             ) from None
-        head = {"format": RECORDING_FORMAT, "robots": list(team.robots), "room": room_text}
+        head: Dict[str, Any] = {
+            "format": RECORDING_FORMAT,
+            "robots": list(team.robots),
+            "room": room_text,
+            "wall": True,  # moments have it; those of earlier versions do not
+        }
         self._out.write(json.dumps(head) + "\n")
 
     def record(self) -> None:
@@ -46,6 +52,7 @@ class Recorder:
         if self._team.people:
             where = [walker.at for walker in self._team.people]
             moment.append([at and [round(at[0], 4), round(at[1], 4)] for at in where])
+        moment.append(round(time.time(), 3))
         self._out.write(json.dumps(moment) + "\n")
 
     def close(self) -> None:
@@ -66,19 +73,21 @@ class RoomRecording:
     :param robots: names of the robots, in the order of the poses.
     :param moments: pairs of time in seconds and poses, sorted by time.
     :param people: time -> position of each person of the room; None for absent.
+    :param wall: for each moment the time of the wall clock (s since 1970); empty if unknown.
     """
 
     room: Room
     robots: Tuple[str, ...]
     moments: Tuple[Tuple[float, Tuple[Pose, ...]], ...]
     people: Mapping[float, Tuple[Optional[Point], ...]] = field(default_factory=dict)
+    wall: Tuple[float, ...] = ()
 
     def every(self, seconds: float) -> Iterator[Tuple[float, Dict[str, Pose]]]:
         """Yield the latest recorded moment at regular intervals of ``seconds``."""
         due = self.moments[0][0] if self.moments else 0.0
-        for (time, poses), after in zip(self.moments, [*self.moments[1:], None]):
+        for (moment, poses), after in zip(self.moments, [*self.moments[1:], None]):
             if after is None or after[0] > due:
-                yield time, dict(zip(self.robots, poses))
+                yield moment, dict(zip(self.robots, poses))
                 due += seconds
 
 
@@ -93,6 +102,7 @@ def read_recording(file: Union[str, Path]) -> RoomRecording:
         raise InputError("cannot read the recording: %s" % error, file=str(file)) from None
     moments: List[Tuple[float, Tuple[Pose, ...]]] = []
     people: Dict[float, Tuple[Optional[Point], ...]] = {}
+    walls: List[float] = []
     number = 1
     try:
         head = json.loads(lines[0])
@@ -102,19 +112,21 @@ def read_recording(file: Union[str, Path]) -> RoomRecording:
         room = parse_room(head["room"], str(file))
         for number, line in enumerate(lines[1:], 2):
             try:
-                time, poses, *where = json.loads(line)
+                moment, poses, *where = json.loads(line)
             except ValueError:
                 if number == len(lines):
                     break  # cut off when the run ended
                 raise
             if len(poses) != len(robots):
                 raise ValueError("%d poses of %d robots" % (len(poses), len(robots)))
-            moments.append((float(time), tuple(Pose(*map(float, pose)) for pose in poses)))
+            if head.get("wall"):
+                walls.append(float(where.pop()))
+            moments.append((float(moment), tuple(Pose(*map(float, pose)) for pose in poses)))
             if room.people:
                 (seen,) = where
                 if len(seen) != len(room.people):
                     raise ValueError("%d places of %d people" % (len(seen), len(room.people)))
-                people[float(time)] = tuple(at and (float(at[0]), float(at[1])) for at in seen)
+                people[float(moment)] = tuple(at and (float(at[0]), float(at[1])) for at in seen)
     except (RecursionError, ValueError, KeyError, IndexError, TypeError) as error:
         raise InputError(
             "not a recording of a world: %s" % error,
@@ -122,4 +134,4 @@ def read_recording(file: Union[str, Path]) -> RoomRecording:
             line=number,
             hint="record one with world.launch record:=FILE",
         ) from None
-    return RoomRecording(room, robots, tuple(moments), people)
+    return RoomRecording(room, robots, tuple(moments), people, tuple(walls))

@@ -4,6 +4,7 @@ import pytest
 
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.visualizer.board import Board, first_status
+from gspn_framework_package.visualizer.poses import PoseTrack
 
 MAP = {
     "bounds": [[0.0, 0.0], [10.0, 5.0]],
@@ -95,5 +96,49 @@ def test_robots_glide_to_where_they_are_and_go_with_their_reports(shown):
     hub.set_latest("world", _poses(r1=(5.0, 1.0, 3.0, "amcl_pose")))
     _settled(page, "r1", 5.0, 1.0)
     page.wait_for_function("() => gspn.page.room.drawn.size === 1")
+
+
+def test_the_time_line_moves_the_robots_in_the_room_too(show_net, open_page):
+    """Two robots of a recorded run, of which one goes on."""
+    track = PoseTrack()
+    track.room = MAP
+    for i in range(200):
+        track.add(
+            i / 2, _poses(r1=(i / 20, 1.0, 0.0, "odom"), r2=(8.0, 4.0, 0.0, "odom"))["robots"]
+        )
+    net = NetBuilder("rooms").place("A", tokens=2).place("B")
+    site = show_net(net.exponential("go", inputs="A", outputs="B").build())
+    hub = site.session().hub
+    hub.restart("REPLAY", Board(2, (2, 0), [0], first_status("run", False)), track=track)
+    robots = [{"name": name, "place": 0, "phase": "doing"} for name in ("r1", "r2")]
+    hub.publish({"k": "robots", "r": robots, "gone": [], "t": 0.0})
+    moved = [{"name": "r1", "place": 1, "phase": "doing"}]
+    hub.publish({"k": "robots", "r": moved, "gone": [], "t": 80.0})
+    page = open_page(site.address + "#net")
+    page.wait_for_selector("#room:not([hidden])")
+    page.evaluate("() => gspn.model.showTime(80)")
+    _settled(page, "r1", 8.0, 1.0)
+    page.evaluate("() => gspn.model.showTime(0)")
+    _settled(page, "r1", 0.0, 1.0)
+    _click(page, 0.0, 1.0)
+    page.wait_for_selector("#list li[aria-selected='true']:has-text('A')")
+    page.evaluate("() => { gspn.model.speed = 20; gspn.model.play(); }")
+    page.wait_for_function(
+        "() => { const [x] = gspn.page.room.drawn.get('r1'); return x > 1 && x < 7; }"
+    )
+    _settled(page, "r1", 8.0, 1.0)
+
+
+def test_robots_in_the_past_of_a_live_run_are_where_they_were(shown):
+    page, hub = shown
+    hub.show_world(_poses(r1=(1.0, 1.0, 0.0, "odom")))
+    _settled(page, "r1", 1.0, 1.0)
+    hub.publish({"k": "note", "level": "info", "text": "a moment", "robot": ""})
+    page.wait_for_function("() => gspn.model.board.n === 2")
     page.keyboard.press(" ")
-    page.wait_for_selector(".room-note:has-text('positions are not recorded')")
+    page.wait_for_function("() => !gspn.model.following")
+    hub.show_world(_poses(r1=(7.0, 1.0, 0.0, "odom")))
+    page.wait_for_function("() => gspn.model.latest.world.robots.r1.pose[0] === 7")
+    _settled(page, "r1", 1.0, 1.0)
+    page.evaluate("() => gspn.model.backToLive()")
+    _settled(page, "r1", 7.0, 1.0)

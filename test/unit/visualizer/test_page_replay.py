@@ -3,6 +3,7 @@
 import json
 import random
 import shutil
+from functools import partial
 
 import pytest
 
@@ -12,10 +13,11 @@ from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.errors import GspnError, LogError
-from gspn_framework_package.visualizer.bag_replay import TYPE, BagReplay
+from gspn_framework_package.visualizer.bag_replay import TYPE, BagReplay, bag_track
 from gspn_framework_package.visualizer.board import Board
 from gspn_framework_package.visualizer.documents import Folder
 from gspn_framework_package.visualizer.hub import Hub
+from gspn_framework_package.visualizer.poses import PoseTrack
 from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.replay import Replay
 from gspn_framework_package.visualizer.team_events import TeamEvents
@@ -300,6 +302,72 @@ def test_a_bag_says_from_when_on_its_run_follows_another_plan(recorded, tmp_path
     board = finished(BagReplay(str(tmp_path / "run.bag"), [plan])).board()
     assert tuple(board.marking) == firings[11].marking
     assert "from 1.2 s on, the run follows another plan" in board.notes[-1]["text"]
+
+
+def odometry(x):
+    """A message that says where a robot is: only the fields that are read."""
+    genpy_dynamic = pytest.importorskip("genpy.dynamic")
+    parts = [
+        "PoseIn pose",
+        "MSG: nav_msgs/PoseIn\nPoseAt pose",
+        "MSG: nav_msgs/PoseAt\nNumbers position\nNumbers orientation",
+        "MSG: nav_msgs/Numbers\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w",
+    ]
+    text = ("\n" + "=" * 80 + "\n").join(parts) + "\n"
+    message = genpy_dynamic.generate_dynamic("nav_msgs/Odometry", text)["nav_msgs/Odometry"]()
+    message.pose.pose.position.x, message.pose.pose.orientation.w = x, 1.0
+    return message
+
+
+def test_a_bag_and_a_log_beside_one_show_where_the_robots_were(recorded, tmp_path, capsys):
+    """A robot drives 1 m every second for a minute, then stands still."""
+    path, firings, _ = recorded
+    log = read_log(path)
+    first = log.plan.robots[0].name
+    genpy, rosbag = pytest.importorskip("genpy"), pytest.importorskip("rosbag")
+    began = next(record["wall"] for record in log.records if "wall" in record)
+
+    def write(file, begin, fired, robot=first):
+        with rosbag.Bag(str(tmp_path / file), "w") as bag:
+            for i, message in enumerate(messages(log.plan, fired)):
+                bag.write("/fired_transitions", message, genpy.Time.from_sec(begin + 0.1 * i))
+            for i in [*range(60), 300]:
+                at = genpy.Time.from_sec(begin + i)
+                bag.write("/fleet/%s/odom" % robot, odometry(float(min(i, 60))), at)
+                bag.write("/nobody/odom", odometry(99.0), at)
+
+    write("run.bag", 100.0, firings)
+    write("beside.bag", began, [])
+    write("others.bag", began, [], "somebody")
+    write("simulated_clock.bag", 0.0, [])
+    (tmp_path / "nonsense.bag").write_bytes(b"not a bag")
+    beside = partial(bag_track, str(tmp_path / "beside.bag"))
+    for activity in BagReplay(str(tmp_path / "run.bag"), [log.plan]), Replay(path, beside):
+        found = finished(activity).poses_around(40.5)
+        assert (found["from"], found["to"]) == (10.5, 70.5)
+        where = [moment["robots"] for moment in found["moments"] if abs(moment["t"] - 40) < 0.01]
+        assert where == [{first: {"pose": [40.0, 0.0, 0.0], "by": "odom"}}]
+        assert found["moments"][0]["t"] <= 10.5 and found["moments"][-1]["t"] > 58
+    for file, why in (
+        ("others", "has no poses of the robots"),
+        ("simulated_clock", "has no poses of the robots"),
+        ("nonsense", "not a readable rosbag"),
+    ):
+        assert main(["replay", path, "--poses", str(tmp_path / (file + ".bag"))]) == 2
+        out = capsys.readouterr().err
+        assert why in out and "Traceback" not in out and len(out.splitlines()) <= 2
+
+
+def test_a_track_keeps_two_moments_a_second_and_the_last_one():
+    track = PoseTrack()
+    for i in range(101):
+        track.add(i / 10, {"r": {"pose": [i, 0, 0]}})
+    track.add(60.0, {"r": {"pose": [100, 0, 0]}})  # it stood still
+    found = track.around(5.0, now=20.0)
+    assert (found["from"], found["to"], len(track)) == (0.0, 20.0, len(found["moments"]))
+    times = [moment["t"] for moment in found["moments"]]
+    assert times[0] == 0 and times[-1] == 10 and 20 <= len(times) <= 26
+    assert max(b - a for a, b in zip(times, times[1:])) <= 0.5
 
 
 def test_firings_that_a_bag_lacks_are_reported(recorded, tmp_path):

@@ -12,8 +12,9 @@ pytest.importorskip("nav_msgs.msg")
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 
-from gspn_framework_package.visualizer import ros_poses
-from gspn_framework_package.visualizer.ros_poses import RosPoses, map_to_json
+from gspn_framework_package.visualizer import poses, ros_poses
+from gspn_framework_package.visualizer.poses import map_to_json
+from gspn_framework_package.visualizer.ros_poses import RosPoses
 
 AMCL, ODOM = PoseWithCovarianceStamped._type, Odometry._type
 
@@ -49,11 +50,11 @@ def test_localisation_replaces_odometry_as_soon_as_there_is_any(heard: Heard) ->
     heard.poses.find({"/r1/odom": ODOM, "/r2/amcl_pose": AMCL, "/r2/odom": ODOM}, ["/r1", "/r2"])
     assert set(heard.topics) == {"/r1/odom", "/r2/amcl_pose"}
     heard.topics["/r1/odom"](pose(Odometry, 1, 2, 0.5))
-    assert heard.told[-1] == ("poses", {"/r1": (1.0, 2.0, 0.5, "odom")})
+    assert heard.told[-1] == ("poses", {"/r1": {"pose": [1.0, 2.0, 0.5], "by": "odom"}})
     heard.poses.find({"/r1/odom": ODOM, "/r1/amcl_pose": AMCL}, ["/r1", "/r2"])
     heard.topics["/r1/amcl_pose"](pose(PoseWithCovarianceStamped, 7, 8, -1))
     heard.topics["/r1/odom"](pose(Odometry, 1, 2, 0.6))
-    assert heard.told[-1] == ("poses", {"/r1": (7.0, 8.0, -1.0, "amcl_pose")})
+    assert heard.told[-1] == ("poses", {"/r1": {"pose": [7.0, 8.0, -1.0], "by": "amcl_pose"}})
 
 
 def test_a_world_says_itself_where_robots_are(heard: Heard) -> None:
@@ -81,7 +82,7 @@ def test_what_was_not_told_at_once_is_told_with_the_next_search(monkeypatch: Any
     heard.topics["/r1/amcl_pose"](pose(PoseWithCovarianceStamped, 1, 0, 0))
     assert not heard.told
     heard.poses.find({}, ["/r1"])
-    assert heard.told == [("poses", {"/r1": (1.0, 0.0, 0.0, "amcl_pose")})]
+    assert heard.told == [("poses", {"/r1": {"pose": [1.0, 0.0, 0.0], "by": "amcl_pose"}})]
 
 
 def grid(rows: List[List[int]], resolution: float = 0.5) -> Any:
@@ -108,7 +109,7 @@ def test_a_map_is_told_as_runs_of_its_cells(heard: Heard) -> None:
 
 
 def test_a_fine_map_is_reduced_and_keeps_its_walls(monkeypatch: Any) -> None:
-    monkeypatch.setattr(ros_poses, "WIDEST_MAP", 3)
+    monkeypatch.setattr(poses, "WIDEST_MAP", 3)
     room = map_to_json(grid([[0, 0, 0, 0, 100], [0, 0, 0, 0, 0], [-1, -1, -1, -1, -1]], 0.1))
     assert (room["grid"]["width"], room["grid"]["height"]) == (3, 2)
     assert cells(room) == [1, 1, 2, 0, 0, 0]

@@ -10,7 +10,8 @@ import pytest
 from PIL import Image
 
 from gspn_framework_package.cli.main import main
-from gspn_framework_package.model.errors import InputError
+from gspn_framework_package.cli.replay import recorded_poses
+from gspn_framework_package.model.errors import InputError, LogError
 from gspn_framework_package.model.robot_colours import colour_of
 from gspn_framework_package.world.bodies import rgba
 from gspn_framework_package.world.camera import Camera
@@ -82,6 +83,18 @@ def test_a_recording_is_read_as_it_was_written(team, recording):
     assert time == pytest.approx(3.0)
     assert poses[0].distance(team.physics.pose("robot_1")) < 1e-3
     assert [round(t, 1) for t, _ in read.every(1.0)] == [0.1, 1.1, 2.1, 3.0]
+
+
+def test_a_recording_places_the_robots_of_a_log(team, recording, tmp_path, record_run):
+    """By the wall clock: robots of the log's run that the recording has are on the page."""
+    read = read_recording(recording)
+    assert len(read.wall) == len(read.moments) and list(read.wall) == sorted(read.wall)
+    track = recorded_poses(str(recording), [team.robots[0], "another"], read.wall[0])
+    assert track.room == read.room.as_json()
+    pose = read.moments[0][1][0]
+    assert track.first() == {team.robots[0]: {"pose": [pose.x, pose.y, pose.yaw]}}
+    with pytest.raises(LogError, match="no poses of the robots"):
+        recorded_poses(str(recording), ["another"], read.wall[0])
 
 
 def test_people_are_recorded_and_filmed(tmp_path, capsys):

@@ -273,6 +273,7 @@ class Page {
       this.view.reset();
       for (const part of [this.list, this.inspector, this.log]) part.update();
       this.robots.update();
+      if (this.room.shown) this.room.later();
       this.optimise.later();
       this.line.later();
       this.showBreakpoints();

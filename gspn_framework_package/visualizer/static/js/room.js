@@ -4,6 +4,7 @@
 import { $, h } from "./dom.js";
 import { colourOf, shortName } from "./colours.js";
 import { trace } from "./geometry.js";
+import { PastPoses, turn } from "./past_poses.js";
 
 const WIDEST = 640; // px
 const SHARE = 0.5; // largest share of the panel's height
@@ -23,6 +24,7 @@ export class Room extends EventTarget {
     this.drawn = new Map(); // robot -> [x, y, yaw] as drawn now
     this.selection = null;
     this.picture = { of: null };
+    this.past = new PastPoses(model, () => this.shown && this.later());
     $("room-close").onclick = () => this.toggle(false);
     this.canvas.onclick = (event) => this.click(event.offsetX, event.offsetY);
     this.note =
@@ -81,10 +83,15 @@ export class Room extends EventTarget {
     if (place !== undefined) this.dispatchEvent(new CustomEvent("place", { detail: place }));
   }
 
-  /** Let the robots glide to where they were reported last; true while any is on its way. */
-  glide(now) {
+  /** The world at the time shown; of the past, only where the robots were is known. */
+  world() {
+    const { model } = this;
+    return model.following ? model.latest.world : { robots: this.past.at(model.now()) };
+  }
+
+  /** Let robots glide to where they are reported; true while any is on its way. */
+  glide(now, robots = {}) {
     const share = this.before ? 1 - Math.exp((this.before - now) / GLIDE) : 1;
-    const robots = this.model.latest.world?.robots || {};
     let moving = false;
     for (const name of this.drawn.keys()) if (!(name in robots)) this.drawn.delete(name);
     for (const [name, { pose }] of Object.entries(robots)) {
@@ -106,8 +113,9 @@ export class Room extends EventTarget {
   }
 
   update(now = performance.now()) {
-    if (this.glide(now)) this.later();
-    const { room, world } = this.model.latest;
+    const { room } = this.model.latest;
+    const world = this.world();
+    if (this.glide(now, world?.robots) || this.model.playing) this.later();
     const { places } = this.model.scene;
     const c = this.canvas.getContext("2d");
     const ratio = window.devicePixelRatio || 1;
@@ -243,11 +251,10 @@ export class Room extends EventTarget {
     const { model } = this;
     const robots = Object.entries(world?.robots || {});
     const guessed = robots.filter(([, { by }]) => by === "odom").map(([name]) => name);
-    const says = [
-      !model.following && "Where the robots are now: positions are not recorded.",
-      guessed.length > 0 && `By odometry, each from its own start: ${guessed.join(", ")}.`,
-    ].filter(Boolean);
-    if (this.note.textContent !== says.join(" ")) this.note.textContent = says.join(" ");
+    const says = guessed.length
+      ? `By odometry, each from its own start: ${guessed.join(", ")}.`
+      : "";
+    if (this.note.textContent !== says) this.note.textContent = says;
     const seen = robots.map(([name]) => {
       const place = model.board?.robots.get(name)?.place;
       return place >= 0 ? `${name} in ${model.scene.places[place]?.name}` : name;
@@ -310,9 +317,6 @@ function mapPicture({ width, height, runs }, ink, paper) {
   }
   return picture;
 }
-
-/** The angle between two, the short way round. */
-const turn = (from, to) => Math.atan2(Math.sin(to - from), Math.cos(to - from));
 
 /** A disc, or an ellipse so many times as high as it is wide. */
 function disc(c, x, y, radius, colour, height = 1) {
