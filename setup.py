@@ -45,6 +45,7 @@ EXTRAS = {
         "duckdb>=1.1,<1.2 ; python_version < '3.9'",
     ],
     "plots": ["matplotlib>=3.1"],
+    "proofs": ["z3-solver>=4.12,<6"],
     "symmetry": ["igraph>=0.10,<2"],
     "team": ZENOH,  # agents and their operator, without ROS
     "world": [

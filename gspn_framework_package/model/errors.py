@@ -140,6 +140,7 @@ EXTRAS = {
     "matplotlib": "plots",
     "numba": "fast",
     "pybullet": "world",
+    "z3": "proofs",
 }
 """Library -> the extra of this package with which pip installs it."""
 

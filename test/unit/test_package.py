@@ -94,6 +94,7 @@ ROSDEP_KEYS = {
     "waitress": "python3-waitress",
     "werkzeug": "python3-flask",  # Flask is built on it
     "yaml": "python3-yaml",
+    "z3": "",
     "mcap": "",
     "rosbags": "",
     "zenoh": "",

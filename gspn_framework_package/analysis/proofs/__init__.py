@@ -2,7 +2,7 @@
 
 Modules: ``ladder`` (decides a question, step by step), ``questions`` (what is asked, as facts about
 markings; with ``conditions`` and ``policy_rows`` as inequalities, and ``returning`` for what can be
-reached again), ``prover``, ``homing`` and ``witness`` (search for proofs, for ways home, and for
-firings that lead to a marking), ``checker`` (checks proofs, and needs neither NumPy nor a solver),
-``answers`` (what they add to a report).
+reached again), ``prover``, ``homing``, ``inductive`` and ``witness`` (search for proofs, for ways
+home, for invariants with z3, and for firings that lead to a marking), ``checker`` (checks proofs,
+and needs neither NumPy nor a solver), ``answers`` (what they add to a report).
 """

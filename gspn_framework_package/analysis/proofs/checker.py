@@ -2,14 +2,13 @@
 
 A question asks for a reachable marking that fulfils some *facts*. A proof that there is none has
 two parts. First come *lemmas*, which hold in every reachable marking: at the start, and after every
-firing if before it. Then a *tree* shows that no marking fulfils lemmas and facts. Each of its nodes
-narrows the counts that places may have, until one fact, or a weighted sum of several, cannot hold
-any more. Or all markings are visited again, or robots are shown to get *home*, one after another.
-None of this is searched for here, and nothing of a solver is believed.
+firing if before it; for that, a lemma may need the others and a proof. Then a *tree* shows that no
+marking fulfils lemmas and facts. Each of its nodes narrows the counts of places, until one fact, or
+a weighted sum of several, cannot hold any more. Or all markings are visited again, or robots are
+shown to get *home*, one after another. Nothing of a solver is believed.
 
 Facts and lemmas are linear inequalities (:class:`Atom`) joined by :class:`All` and :class:`Some`.
 Counts are whole numbers, so the opposite of ``sum >= n`` is ``-sum >= 1 - n``.
-
 This module is all that checks proofs, and needs neither NumPy nor a solver. It reads untrusted
 files: whatever does not fit is a :class:`ProofError`.
 """
@@ -58,14 +57,10 @@ CheckStep = Callable[[str, int], None]
 """Called with what was done, and how much of it; may raise an exception to end the work."""
 
 
-def goes_on(what: str, count: int) -> None:
-    """A step after which the work goes on."""
-
-
 MOST_VISITED = 1_000_000
 """Most markings that the checker visits."""
 
-_UNREADABLE = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
+_UNREADABLE = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
 
 class Problem(NamedTuple):
@@ -80,12 +75,12 @@ class Problem(NamedTuple):
     :ivar surely: says of some markings that every marking that follows, if what goes on by itself
         ends, is bad; None if nothing quick says so.
     :ivar settling: the transitions that end what goes on by itself.
-    :ivar chosen: whether a transition that the net enables in a marking is one of ``fires``; None
-        if there is nothing quicker than to look.
+    :ivar chosen: whether an enabled transition is one of ``fires``; None if nothing quicker says.
     :ivar robots: for each place whether it holds robots, if the question is whether every reachable
         marking leads back to the first one, or such a one, and counts of robots decide on no
         firing, other than that it needs one; otherwise nothing.
     :ivar step: called at intervals of a check.
+    :ivar needs: what holds where a transition fires.
     """
 
     net: Net
@@ -97,7 +92,8 @@ class Problem(NamedTuple):
     settling: Tuple[int, ...] = ()
     chosen: Optional[Callable[[Marking, int], bool]] = None
     robots: Tuple[bool, ...] = ()
-    step: CheckStep = goes_on
+    step: CheckStep = lambda what, count: None
+    needs: Callable[[int], Iterable[Formula]] = lambda t: ()
 
 
 class CountBox:
@@ -134,9 +130,8 @@ class CountBox:
         certain."""
         if isinstance(formula, Atom):
             return self.largest(formula.terms) >= formula.least
-        if isinstance(formula, All):
-            return all(map(self.allows, formula.parts))
-        return any(map(self.allows, formula.parts))
+        every = all if isinstance(formula, All) else any
+        return every(map(self.allows, formula.parts))
 
     def implied(self, formula: Formula) -> List[Atom]:
         """Inequalities that hold wherever the formula does, in a fixed order: where only one part
@@ -153,9 +148,8 @@ def fulfils(formula: Formula, marking: Sequence[int]) -> bool:
     """Whether the formula holds in a marking."""
     if isinstance(formula, Atom):
         return sum(weight * marking[p] for p, weight in formula.terms) >= formula.least
-    if isinstance(formula, All):
-        return all(fulfils(part, marking) for part in formula.parts)
-    return any(fulfils(part, marking) for part in formula.parts)
+    every = all if isinstance(formula, All) else any
+    return every(fulfils(part, marking) for part in formula.parts)
 
 
 def guard(net: Net, t: int) -> Tuple[Atom, ...]:
@@ -174,41 +168,58 @@ def opposite(formula: Formula) -> Formula:
     return Some(parts) if isinstance(formula, All) else All(parts)
 
 
-def check_lemma(problem: Problem, lemma: Some) -> None:
-    """Require that a disjunction of inequalities holds in every reachable marking.
+def check_lemma(problem: Problem, lemma: Some, known: Sequence[Formula], kept: Any) -> None:
+    """Require that a disjunction of inequalities holds at the start, and after a firing if all that
+    are ``known`` hold before it: plainly, or by a certificate in ``kept``.
 
     :raises ProofError: it is not shown.
     """
     net = problem.net
     if not fulfils(lemma, net.initial_marking):
         raise ProofError("a lemma does not hold at the start")
-    places = {p for atom in lemma.parts for p, _ in atom.terms}
+    for t in may_break(problem, lemma):
+        name = net.transitions[t].name
+        if name not in kept:
+            raise ProofError("a lemma may fail when %s fires" % name)
+        check_certificate(breaking(problem, lemma, known, t), kept[name])
+
+
+def may_break(problem: Problem, lemma: Some) -> List[int]:
+    """The transitions by which a lemma is not plainly kept."""
+    net, places = problem.net, {p for atom in lemma.parts for p, _ in atom.terms}
     near = {t for p in places for t in (*net.consumers[p], *net.producers[p])}
-    for t in near.intersection(problem.transitions):
-        if not is_plainly_kept(net, lemma, t):
-            raise ProofError("a lemma may fail when %s fires" % net.transitions[t].name)
+    return [t for t in near.intersection(problem.transitions) if not _is_kept(net, lemma, t)]
 
 
-def is_plainly_kept(net: Net, lemma: Some, t: int) -> bool:
-    """Whether no inequality of the lemma loses by a firing of transition number ``t``, or one of
-    them holds after it because of what the transition needs."""
+def breaking(problem: Problem, lemma: Some, known: Sequence[Formula], t: int) -> Problem:
+    """The question whether a marking can be reached in which all that are ``known`` hold, and a
+    firing of transition number ``t`` breaks the lemma."""
+    fires = (*guard(problem.net, t), *problem.needs(t))
+    facts = (*known, *fires, opposite(_before(problem.net, lemma, t)))
+    return problem._replace(facts=facts, robots=())
+
+
+def _before(net: Net, lemma: Some, t: int) -> Some:
+    """What holds exactly where the lemma does after a firing of transition number ``t``."""
     effect = dict(net.effect(t))
     changes = [sum(w * effect.get(p, 0) for p, w in atom.terms) for atom in lemma.parts]
-    if all(n >= 0 for n in changes):
+    return Some(tuple(Atom(a.terms, a.least - n) for a, n in zip(lemma.parts, changes)))
+
+
+def _is_kept(net: Net, lemma: Some, t: int) -> bool:
+    """Whether no inequality of the lemma loses by a firing of transition number ``t``, or one of
+    them holds after it because of what the transition needs."""
+    before = _before(net, lemma, t)
+    if all(now.least <= then.least for now, then in zip(before.parts, lemma.parts)):
         return True
     box = CountBox.of(net)
     for need in guard(net, t):
         ((p, sign),) = need.terms
         box.narrow(p, sign > 0, sign * need.least)
-    return box.empty or any(
-        -box.largest((p, -weight) for p, weight in atom.terms) + n >= atom.least
-        for atom, n in zip(lemma.parts, changes)
-    )
+    return box.empty or not box.allows(opposite(before))
 
 
-def check_tree(
-    box: CountBox, facts: Sequence[Formula], nodes: Any, step: CheckStep = goes_on
-) -> None:
+def check_tree(box: CountBox, facts: Sequence[Formula], nodes: Any, step: CheckStep) -> None:
     """Require that a tree shows that no marking of ``box`` fulfils all ``facts``.
 
     The first of its ``nodes`` is the root. A node has ``steps``, each ``[place, is_low, count,
@@ -219,10 +230,9 @@ def check_tree(
 
     :raises ProofError: it does not.
     """
-    waiting = [(box, 0)]
+    waiting = [(box.copy(), 0)]
     while waiting:
-        outer, number = waiting.pop()
-        box = outer.copy()
+        box, number = waiting.pop()
         try:
             for p, is_low, count, reason in nodes[number]["steps"]:
                 step("nodes checked", number)
@@ -281,25 +291,26 @@ def check_certificate(problem: Problem, certificate: Any) -> str:
             return _visit(problem, certificate["markings"])
         if "ways" in certificate and problem.robots:
             return _check_ways(problem, certificate)
-        known: List[Formula] = []
-        for written in certificate["lemmas"]:
-            atoms = tuple(_read_atom(problem.net, *each) for each in written["some"])
-            problem.step("lemmas checked", len(known))
-            check_lemma(problem, Some(atoms))
-            known.append(Some(atoms))
-        check_tree(
-            CountBox.of(problem.net), [*known, *problem.facts], certificate["tree"], problem.step
-        )
+        known = [read_lemma(problem.net, written) for written in certificate["lemmas"]]
+        for number, lemma in enumerate(known):
+            problem.step("lemmas checked", number)
+            check_lemma(problem, lemma, known, certificate["lemmas"][number].get("kept", ()))
+        facts = (*known, *problem.facts)
+        check_tree(CountBox.of(problem.net), facts, certificate["tree"], problem.step)
     except _UNREADABLE as error:
         raise ProofError("the certificate cannot be read: %r" % error) from None
     return "%d lemmas" % len(known)
 
 
-def _read_atom(net: Net, weights: Any, least: Any) -> Atom:
-    terms = tuple((net.place_index[name], weight) for name, weight in weights.items())
-    if any(type(n) is not int for n in (least, *(weight for _, weight in terms))):
-        raise ValueError("a number of a lemma is not whole")
-    return Atom(terms, least)
+def read_lemma(net: Net, written: Any) -> Some:
+    """A lemma of a certificate."""
+    atoms = []
+    for weights, least in written["some"]:
+        terms = tuple((net.place_index[name], weight) for name, weight in weights.items())
+        if any(type(n) is not int for n in (least, *(weight for _, weight in terms))):
+            raise ValueError("a number of a lemma is not whole")
+        atoms.append(Atom(terms, least))
+    return Some(tuple(atoms))
 
 
 def _visit(problem: Problem, number: Any) -> str:
@@ -313,11 +324,9 @@ def _visit(problem: Problem, number: Any) -> str:
         marking = waiting.pop()
         if problem.is_bad(marking):
             raise ProofError("a bad marking can be reached")
-        for t in problem.fires(marking):
-            after_it = problem.net.fire(marking, t)
-            if after_it not in seen:
-                seen.add(after_it)
-                waiting.append(after_it)
+        new = {problem.net.fire(marking, t) for t in problem.fires(marking)} - seen
+        seen |= new
+        waiting += new
     if len(seen) != number:
         raise ProofError("%d markings were expected, and there are others" % number)
     return "%d markings visited" % number
@@ -325,10 +334,8 @@ def _visit(problem: Problem, number: Any) -> str:
 
 def alone(problem: Problem, p: int) -> Marking:
     """The first marking, with one robot, in place number ``p``."""
-    first = zip(problem.robots, problem.net.initial_marking)
-    marking = [0 if robots else n for robots, n in first]
-    marking[p] = 1
-    return tuple(marking)
+    first = enumerate(zip(problem.robots, problem.net.initial_marking))
+    return tuple(int(q == p) if robots else n for q, (robots, n) in first)
 
 
 def keeps_their_number(problem: Problem) -> bool:

@@ -10,8 +10,10 @@ ones after the state equation: teams get stuck in them as in a run.
 3. *Ways home*, where the question is whether the robots of a plan can get back to their first
    places: one after another, while the others rest.
 4. *Exploration* of few markings, which finds the shortest firings that lead to a bad one.
-5. *Guided search* for such firings, from a solution of the state equation.
-6. *Exploration* of as many markings as the limit and the time allow.
+5. *Inductive invariants*: inequalities that z3 finds, if it is there, and that every firing keeps,
+   one because of the others. Of a net with many places, this comes after the next step.
+6. *Guided search* for such firings, from a solution of the state equation.
+7. *Exploration* of as many markings as the limit and the time allow.
 
 The first step that decides ends it. What is *proven* has a certificate that
 :mod:`~gspn_framework_package.analysis.proofs.checker` has accepted, or the number of all markings.
@@ -37,6 +39,7 @@ from gspn_framework_package.analysis.proofs.checker import (
     check_certificate,
 )
 from gspn_framework_package.analysis.proofs.homing import Homing
+from gspn_framework_package.analysis.proofs.inductive import search_inductive
 from gspn_framework_package.analysis.proofs.prover import Candidate, Prover
 from gspn_framework_package.analysis.proofs.questions import (
     FROM_EVERYWHERE,
@@ -81,6 +84,9 @@ SHORTENING = 1.0
 
 PROVING = 0.6
 """The part of the time that is left then for the state equation."""
+
+Z3_SHARE = 0.3
+"""The part of the time that is left then for z3, which decides soon or not at all."""
 
 PROVEN, VIOLATED, NOT_DECIDED = "proven", "violated", "not decided"
 
@@ -220,10 +226,12 @@ class _Ladder:
                 return answer
         few = min(self._limit, FEW_MARKINGS)
         answer = self._explore(few) if few else None
-        if answer is None and large:
-            answer = self._wander(0.5)
+        if answer is None:  # of many places, the rules are long
+            answer = self._wander(0.5) if large else self._induce()
         if answer is None and found is not None:
             answer = self._search(found)
+        if answer is None and large:
+            answer = self._induce()
         if answer is None and few < self._limit:
             answer = self._explore(self._limit)
         return answer or Answer(self._question, NOT_DECIDED, tuple(self._steps))
@@ -260,6 +268,20 @@ class _Ladder:
             self._step("ways home", str(error))
             return None
         return self._accepted("ways home", found)
+
+    def _induce(self) -> Optional[Answer]:
+        if not self._problem.facts:
+            return None
+        name = "inductive invariants"
+        try:
+            found = search_inductive(self._problem, self._watch.part(Z3_SHARE))
+            if isinstance(found, dict):
+                return self._accepted(name, found)
+            played_to(self._problem, found)
+        except (LimitError, ProofError) as error:  # facts may hold where nothing is bad
+            self._step(name, str(error))
+            return None
+        return self._found(name, found)
 
     def _accepted(self, name: str, found: Dict[str, Any], more: str = "") -> Optional[Answer]:
         """The answer with a proof, if the checker accepts it."""

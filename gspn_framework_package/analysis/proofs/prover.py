@@ -152,7 +152,7 @@ class Prover:
                 used.setdefault(item[1], len(used))
         for item in items:
             item[1] = used[item[1]] if item[1] < 0 else item[1] + len(used)
-        lemmas = [_written(self._net, self._lemmas[-1 - number]) for number in used]
+        lemmas = [written_lemma(self._net, self._lemmas[-1 - number]) for number in used]
         return {"lemmas": lemmas, "tree": nodes}
 
     # -- the search --------------------------------------------------------------------------------
@@ -263,7 +263,7 @@ class Prover:
         return number
 
 
-def _written(net: Net, lemma: Some) -> Dict[str, Any]:
+def written_lemma(net: Net, lemma: Some) -> Dict[str, Any]:
     """A lemma as plain JSON values."""
     return {
         "some": [

@@ -123,10 +123,11 @@ def problem_of(
         question = question._replace(kind=NEVER, about="not (%s)" % question.about)
     watch = watch or Watch()
     if isinstance(subject, Plan):
-        return _OfPlan(subject, question, watch).problem()._replace(step=watch.step)
+        return _OfPlan(subject, question, watch).problem()
     if question.kind in (NO_ROW, CAN_END, CAN_MOVE) or question.losses:
         raise UsageError("a net has no policy, and no robots that end or can be lost")
-    return _of_net(subject, question, watch)._replace(step=watch.step)
+    problem = _of_net(subject, question, watch)
+    return problem._replace(step=watch.step, needs=partial(_first_in_line, subject))
 
 
 def _of_net(net: Net, question: MarkingQuestion, watch: Watch) -> Problem:
@@ -146,10 +147,7 @@ def _of_net(net: Net, question: MarkingQuestion, watch: Watch) -> Problem:
         return Problem(net, everything, facts, is_bad, net.enabled)
     if question.kind == FIRES:
         t = net.transition_number(question.about)
-        facts = (
-            *guard(net, t),
-            *(_disabled(net, u) for u in _taking_precedence(net, t, everything)),
-        )
+        facts = (*guard(net, t), *_first_in_line(net, t))
         return Problem(net, everything, facts, lambda m: t in net.enabled(m), net.enabled)
     facts = tuple(_disabled(net, t) for t in simplest_first(net, everything))
     return Problem(net, everything, facts, lambda m: not net.enabled(m), net.enabled)
@@ -203,6 +201,11 @@ def _taking_precedence(net: Net, t: int, others: Iterable[int]) -> List[int]:
     """Those of the others that fire before transition number ``t``."""
     mine, immediate = net.transitions[t], (u for u in others if not net.transitions[u].timed)
     return [u for u in immediate if mine.timed or net.transitions[u].priority > mine.priority]
+
+
+def _first_in_line(net: Net, t: int) -> List[Formula]:
+    """Nothing is enabled that fires before transition number ``t``."""
+    return [_disabled(net, u) for u in _taking_precedence(net, t, range(len(net.transitions)))]
 
 
 def _disabled(net: Net, t: int) -> Formula:
@@ -279,7 +282,7 @@ class _OfPlan:
             is_bad = self._exactly(facts)
         surely = self._stuck if kind == CAN_MOVE and self._until is None else None
         settles = settling(net, self._by_themselves()) if surely or robots else []
-        more = surely, tuple(settles), self._chosen, robots
+        more = surely, tuple(settles), self._chosen, robots, self._watch.step, self._needs
         return Problem(net, self._firing(), facts, is_bad, self.fires, *more)
 
     def _counts_no_robots(self) -> bool:
@@ -524,7 +527,13 @@ class _OfPlan:
 
     def _fires(self) -> Iterator[Formula]:
         t = self._plan.net.transition_number(self._question.about)
-        yield from guard(self._net, t)
+        yield from (*guard(self._net, t), *self._chosen_where(t))
+
+    def _needs(self, t: int) -> Tuple[Formula, ...]:
+        return (*self._not_over(), *self._chosen_where(t))
+
+    def _chosen_where(self, t: int) -> Iterator[Formula]:
+        """The policy may choose transition number ``t``."""
         if not self._asking(t) or self._named(t):
             return
         ways: List[Formula] = []
