@@ -1,8 +1,9 @@
 """Compiles with numba and caches the machine code for the next process if a cache directory is
-writable. The import fails if numba is not installed."""
+writable. numba is imported when the first function is compiled."""
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from typing import Any, Callable, Dict
 
@@ -10,11 +11,12 @@ from typing import Any, Callable, Dict
 # the output is a terminal
 os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
 
-from numba import config, njit
-
-__all__ = ["Function", "compiled", "compiled_part", "config"]
-
 Function = Callable[..., Any]
+
+
+def numba_is_there() -> bool:
+    """Whether numba is installed; does not import it."""
+    return importlib.util.find_spec("numba") is not None
 
 
 def compiled(function: Function, allocates: bool = True) -> Any:
@@ -25,7 +27,11 @@ def compiled(function: Function, allocates: bool = True) -> Any:
 
     The machine code is cached next to the source file, or in the user's cache directory. If neither
     is writable (a read-only installation, a user without a home), every process compiles it again.
+
+    :raises ImportError: numba is not installed.
     """
+    from numba import njit
+
     options: Dict[str, Any] = {"nogil": True}
     if not allocates:
         options["_nrt"] = False
@@ -41,7 +47,10 @@ def compiled_part(function: Function, inserted: bool) -> Any:
 
     :param inserted: whether it is inserted where it is called, which pays at one or two places:
         handing over many arrays takes longer than most of these functions.
+    :raises ImportError: numba is not installed.
     """
+    from numba import njit
+
     options: Dict[str, Any] = {
         "_nrt": False,
         "no_cpython_wrapper": True,

@@ -12,8 +12,8 @@ from typing import Any, Callable, Dict, Iterator, Sequence, Tuple
 
 import numpy as np
 
+from gspn_framework_package.analysis.compiling import numba_is_there as numba_is_there
 from gspn_framework_package.analysis.simulation import kernel
-from gspn_framework_package.analysis.state_space.space import numba_is_there as numba_is_there
 from gspn_framework_package.model.errors import how_to_install
 
 WORTH_COMPILING = 20_000

@@ -17,6 +17,7 @@ from scipy import sparse
 from scipy.sparse import linalg
 
 from gspn_framework_package.analysis.arrays import Floats, Indices, Matrix
+from gspn_framework_package.analysis.compiling import numba_is_there
 from gspn_framework_package.analysis.solution.anderson import Anderson, Vector, parts
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError
@@ -423,10 +424,10 @@ def sweep_rows(matrix: Matrix, diagonal: Floats, values: Floats, first: int) -> 
 
 def _compiled_sweep() -> Optional[Callable[..., None]]:
     """The compiled sweep, if numba is installed."""
-    try:
-        from gspn_framework_package.analysis.solution.numba_sweeps import gauss_seidel_sweep
-    except ImportError:
+    if not numba_is_there():
         return None
+    from gspn_framework_package.analysis.solution.numba_sweeps import gauss_seidel_sweep
+
     compiled: Callable[..., None] = gauss_seidel_sweep
     return compiled
 

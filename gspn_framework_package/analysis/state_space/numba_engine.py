@@ -22,7 +22,7 @@ from typing import Any, List, NamedTuple, Tuple
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Indices, Words
-from gspn_framework_package.analysis.compiling import compiled, config
+from gspn_framework_package.analysis.compiling import compiled
 from gspn_framework_package.analysis.state_space.exploration import (
     ENDLESS,
     Allowance,
@@ -74,6 +74,8 @@ def explore(
     :param cores: number of cores; 0: as many as numba may use, at most 8.
     :param room: the exploration ends when it is used up.
     """
+    from numba import config  # only now: compiling has its say on numba's output before
+
     transitions = len(packed.order)
     cores = cores or min(int(vars(config)["NUMBA_NUM_THREADS"]), _CORES)
     share = max(_BLOCK, min(_SHARE, _SHARE_ARCS // max(transitions, 1)))

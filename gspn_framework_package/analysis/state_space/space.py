@@ -13,7 +13,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import sys
 import time
@@ -22,6 +21,7 @@ from typing import TYPE_CHECKING, Dict, List, Mapping, NamedTuple, Optional, Seq
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Booleans, Indices, Selection
+from gspn_framework_package.analysis.compiling import numba_is_there
 from gspn_framework_package.analysis.limits import STATE_LIMIT
 from gspn_framework_package.analysis.state_space import numpy_engine, sparse_engine
 from gspn_framework_package.analysis.state_space.exploration import (
@@ -393,8 +393,3 @@ def _run(
             "the engine numba is not available: %s" % error, hint="install numba, or choose numpy"
         ) from None
     return numba_engine.explore(packed, limit, watch, room=room), "numba"
-
-
-def numba_is_there() -> bool:
-    """Whether numba is installed; does not import it."""
-    return importlib.util.find_spec("numba") is not None

@@ -8,7 +8,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Tuple
 
 import numpy as np
 
-from gspn_framework_package.analysis.state_space.space import numba_is_there
+from gspn_framework_package.analysis.compiling import numba_is_there
 from gspn_framework_package.analysis.symbolic import kernel
 from gspn_framework_package.analysis.symbolic.kernel import (
     DONE,

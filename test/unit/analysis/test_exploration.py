@@ -14,9 +14,10 @@ from waiting import PATIENCE
 
 from benchmarks.large_nets import ring, star
 from benchmarks.nets import kanban, philosophers
+from gspn_framework_package.analysis.compiling import compiled, numba_is_there
 from gspn_framework_package.analysis.state_space import sparse_engine
 from gspn_framework_package.analysis.state_space.packing import PackedNet, starting_widths
-from gspn_framework_package.analysis.state_space.space import explore, numba_is_there
+from gspn_framework_package.analysis.state_space.space import explore
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import CancelledError, LimitError, UsageError
@@ -290,8 +291,6 @@ def test_widths_hold_arc_weights_and_initial_tokens():
 @pytest.mark.skipif(not numba_is_there(), reason="numba is missing")
 def test_compiles_where_no_machine_code_can_be_kept(monkeypatch):
     from numba.core import caching
-
-    from gspn_framework_package.analysis.compiling import compiled
 
     # as in a read-only install without a home
     monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])

@@ -10,7 +10,8 @@ from hypothesis import HealthCheck, given, settings
 
 from benchmarks.nets import courier, flexible_manufacturing, kanban
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.state_space.space import explore, numba_is_there
+from gspn_framework_package.analysis.compiling import numba_is_there
+from gspn_framework_package.analysis.state_space.space import explore
 from gspn_framework_package.analysis.symbolic import machine, markings
 from gspn_framework_package.analysis.symbolic.markings import count_markings
 from gspn_framework_package.analysis.watch import Watch

@@ -22,6 +22,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices, Matrix
+from gspn_framework_package.analysis.compiling import numba_is_there
 from gspn_framework_package.analysis.decisions.solving.graphs import Arrows
 from gspn_framework_package.analysis.graph import longest_levels
 from gspn_framework_package.model.errors import LimitError
@@ -81,12 +82,11 @@ class Model:
     @cached_property
     def compiled(self) -> Any:
         """The compiled loops, or None."""
-        if len(self.values) < _WORTH_LOADING and "numba" not in sys.modules:
+        few = len(self.values) < _WORTH_LOADING and "numba" not in sys.modules
+        if few or not numba_is_there():
             return None
-        try:
-            from gspn_framework_package.analysis.decisions.solving import numba_sweeps
-        except ImportError:
-            return None
+        from gspn_framework_package.analysis.decisions.solving import numba_sweeps
+
         return numba_sweeps
 
     @cached_property
