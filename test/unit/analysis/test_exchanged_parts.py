@@ -197,6 +197,7 @@ def test_there_is_one_marking_of_each_orbit_and_its_size_is_right(net):
         assert (image == least).all()
 
 
+@pytest.mark.long
 @relaxed
 @given(net=nets_of_equal_parts(), data=st.data())
 def test_one_rate_that_differs_makes_a_part_another(net, data):
@@ -432,6 +433,7 @@ def test_limits_end_it():
     assert report(analysis, Questions(structure=False))["lumped"]["factor"] is None
 
 
+@pytest.mark.long
 def test_more_permutations_than_a_float_can_count_are_reported(tmp_path, capsys):
     file = tmp_path / "machines.pnml"
     write_net(machines(175), file)

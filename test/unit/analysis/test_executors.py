@@ -172,6 +172,7 @@ def test_a_prediction_is_the_same(processes):
             assert ours.tobytes() == theirs.tobytes()
 
 
+@pytest.mark.long
 def test_a_comparison_of_two_plans_is_the_same(processes):
     plan = read_plan(str(PLANS / "tokens"))
     other = plan.with_policy(Policy())
@@ -324,6 +325,7 @@ def test_local_needs_nothing():
         assert executor.workers == 1
 
 
+@pytest.mark.long
 def test_the_command_line_chooses(cluster, capsys):
     words = ["simulate", str(PLANS / "tokens"), "--time", "3", "--replications", "60", "--json"]
     printed = []

@@ -225,6 +225,7 @@ def test_a_slower_robot_is_named(duration: Duration, most: int) -> None:
     assert "slower than planned" in first.describe()
 
 
+@pytest.mark.long
 def test_a_slower_robot_is_reported_once_and_not_overstated() -> None:
     """The alarms that last say the same thing once, by how much as far as is known by now."""
     now = []
@@ -261,6 +262,7 @@ def test_what_follows_from_a_slower_robot_stands_under_it() -> None:
     assert cause.size().endswith("% (95 %)")
 
 
+@pytest.mark.long
 def test_the_interval_of_a_change_holds_the_true_one() -> None:
     """200 runs, in which a robot is slower by another factor and for another time each."""
     inside = known = 0

@@ -214,6 +214,7 @@ def dense(net, graph, stay, goal, time):
     return float(start @ chance)
 
 
+@pytest.mark.long
 @settings(relaxed, max_examples=EXAMPLES // 2)
 @given(st.data(), small_plans(), st.sampled_from(["run", "net"]))
 def test_proofs_about_plans_agree_with_their_states(data, plan, reading):

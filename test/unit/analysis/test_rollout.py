@@ -109,6 +109,7 @@ def test_the_policy_of_a_subnet_is_improved_among_its_own_rows():
     assert found.policy.rows[0].choices == rows[0].choices
 
 
+@pytest.mark.long
 def test_a_time_to_a_condition():
     plan = machines(to_right=1.0)
     found = improve(plan, Request(Objective.time_to("rest == 3")), seed=4, **QUICKLY)

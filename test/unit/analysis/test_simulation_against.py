@@ -78,6 +78,7 @@ def test_the_values_are_those_of_the_model(objective, old, new):
     assert ("better" if found.better else "worse") in found.text
 
 
+@pytest.mark.long
 def test_the_durations_of_the_run_count():
     """Exponential rates favour the quick way; the learned durations do not."""
     plans = [
@@ -101,6 +102,7 @@ def test_equal_plans_do_not_differ_at_all():
     assert found.old.high > found.old.low
 
 
+@pytest.mark.long
 def test_a_small_difference_is_not_claimed_and_its_price_is_reported():
     # in the other order, so that the same random numbers do not make the same choices
     almost = SLOW.with_policy(choosing(take_quick=0.498, take_slow=0.502))
@@ -196,6 +198,7 @@ def test_a_run_that_never_ends_is_given_up(monkeypatch):
     assert "is unfinished after" in found.text and any("abandoned" in note for note in found.notes)
 
 
+@pytest.mark.long
 def test_a_slow_start_is_left_out():
     """100 robots enter a ring through one place; in the long run they are spread evenly."""
     net = NetBuilder()
@@ -248,6 +251,7 @@ def test_a_run_that_ends_keeps_its_marking():
     assert any("the marking then stays" in note for note in found.notes)
 
 
+@pytest.mark.long
 def test_the_budget_and_the_precision_end_it():
     quick = compare_plans(SLOW, QUICK, Objective.long_run(TRIPS), seconds=1e-9)
     assert quick.pairs == against.LEAST_PAIRS
@@ -266,6 +270,7 @@ def test_the_same_seed_gives_the_same_answer():
     assert run(4) == run(4) != run(5)
 
 
+@pytest.mark.long
 def test_it_can_be_cancelled_and_tells_its_progress(monkeypatch):
     with pytest.raises(CancelledError):
         compare_plans(BOTH, QUICK, Objective.long_run(TRIPS), cancel=lambda: True)
@@ -280,6 +285,7 @@ def test_it_can_be_cancelled_and_tells_its_progress(monkeypatch):
     assert told and told[-1][0] == "firings" and told[-1][1] > 100
 
 
+@pytest.mark.long
 def test_pairs_with_the_same_random_numbers_show_small_differences():
     almost = SLOW.with_policy(choosing(take_slow=0.502, take_quick=0.498))
     found = compare_plans(
@@ -291,6 +297,7 @@ def test_pairs_with_the_same_random_numbers_show_small_differences():
     assert (found.difference.high - found.difference.low) / 2 < alone / 3
 
 
+@pytest.mark.long
 def test_a_warm_up_that_is_too_short_is_lengthened():
     """A robot leaves for good after a hundred seconds or so: the first runs do not show it."""
     net = NetBuilder().place("busy", 1).place("gone")
@@ -333,6 +340,7 @@ def test_a_pattern_of_rewards_has_to_match_the_same_in_both_plans():
         compare_plans(SLOW, other, aim, replications=4, seconds=None)
 
 
+@pytest.mark.long
 def test_other_durations_are_pointed_out():
     other = replace(QUICK, durations={"quick": Duration.deterministic(1.0)})
     found = compare_plans(SLOW, other, Objective.long_run(TRIPS), replications=5, seconds=None)

@@ -249,6 +249,7 @@ def test_random_numbers_are_those_of_the_published_generator():
     assert words == [w >> (5 if i % 2 == 0 else 6) for i, w in enumerate(expected)]
 
 
+@pytest.mark.long
 @settings(max_examples=200, deadline=None)
 @given(
     st.sampled_from(
@@ -278,6 +279,7 @@ def test_conditions_hold_as_in_a_run(text, a, b):
     assert (value != 0.0) == condition.holds((a, b))
 
 
+@pytest.mark.long
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_rows_of_a_large_policy_are_found(data):
@@ -334,6 +336,7 @@ def test_precision_decides_how_many_runs():
     assert limited.replications == 40 and limited.precision["reached"] > 0.001
 
 
+@pytest.mark.long
 def test_batches_of_one_run_agree_with_many_runs():
     plan = read_plan(PLANS / "rendezvous")
     one = simulate(plan, time=3000.0, warmup=50.0, batches=30, confidence=0.999999, seed=1)
@@ -375,6 +378,7 @@ def test_what_was_never_seen_has_a_bound():
     assert "seen" not in data["throughput"]["often"]
 
 
+@pytest.mark.long
 def test_a_run_ends_when_every_robot_is_inactive():
     result = simulate(read_plan(PLANS / "fork_join"), time=1000.0, replications=50)
     assert result.reached is None and result.end_time.mean < 100
@@ -404,6 +408,7 @@ def test_options_that_make_no_sense(options, error, message):
         simulate(read_plan(PLANS / "rendezvous"), **options)
 
 
+@pytest.mark.long
 def test_cancel_within_a_long_run():
     calls = []
     with pytest.raises(CancelledError):
@@ -415,6 +420,7 @@ def test_cancel_within_a_long_run():
         )
 
 
+@pytest.mark.long
 def test_a_cycle_without_time_is_refused():
     net = (
         NetBuilder()

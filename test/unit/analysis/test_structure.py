@@ -165,6 +165,7 @@ def sets_by_definition(net, feeding, support):
     }
 
 
+@pytest.mark.long
 def test_the_structure_of_a_large_ring():
     structure = Structure(ring(3_000), limit=200_000)
     assert [len(i.weights) for i in structure.place_invariants] == [3_000]
@@ -273,6 +274,7 @@ def test_limits_are_said():
     assert invariant_bounds(net, limit=1000) == (None,) * 36
 
 
+@pytest.mark.long
 def test_thousands_of_sources_are_as_many_siphons():
     places = [Place("p%d" % i) for i in range(6_000)]
     transitions = [Transition("t%d" % i, timed=True) for i in range(len(places))]

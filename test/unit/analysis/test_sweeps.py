@@ -124,6 +124,7 @@ def test_what_does_not_fit_is_refused_by_name(subject, text, message):
         one(subject, text)
 
 
+@pytest.mark.long
 def test_each_point_is_what_a_simulation_of_it_says():
     asked = Asked(time=20.0, replications=60, seed=5)
     sweep = Sweep(NET, [read_variation("rate:fail=1,2")], asked)
@@ -171,6 +172,7 @@ def test_exact_points_are_those_of_the_chain():
     assert found[3.0] == (pytest.approx(1.5), 0.0)
 
 
+@pytest.mark.long
 def test_workers_give_the_same_points():
     plan = a_plan(durations={"work": Duration.gamma(4.0, 2.0)})
     variations = [read_variation("robots=1..2"), read_variation("rate:wear=1,2")]

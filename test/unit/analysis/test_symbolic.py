@@ -205,6 +205,7 @@ def test_the_counts_are_those_of_exploration():
         assert found.total - found.tangible == space.is_vanishing.sum()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("form", FORMS)
 def test_an_unbounded_net_ends_at_the_limit(form):
     net = NetBuilder("grows").place("p").exponential("t", outputs="p").build()
@@ -230,6 +231,7 @@ def analysed(capsys, tmp_path, net, *words):
     return code, capsys.readouterr()
 
 
+@pytest.mark.long
 def test_the_command_counts_where_asked(capsys, tmp_path):
     net = two_handed(20)
     code, printed = analysed(capsys, tmp_path, net, "--symbolic", "--json", "--no-structure")
@@ -254,6 +256,7 @@ def test_the_command_counts_where_asked(capsys, tmp_path):
     assert "transitions that never fire: none" in printed.out
 
 
+@pytest.mark.long
 def test_the_command_counts_where_the_visit_does_not_end(capsys, tmp_path):
     code, printed = analysed(capsys, tmp_path, two_handed(20), "--json", "--limit", "1000")
     data = json.loads(printed.out)
@@ -320,6 +323,7 @@ def test_places_that_only_count_but_are_bounded_are_counted():
     assert (analysis.counts().total, analysis.uncounted) == (6 * 2**12, ())
 
 
+@pytest.mark.long
 def test_many_steps_between_few_nodes_keep_their_results():
     counts = count_markings(shared_memory(6))
     assert counts.total == len(explore(shared_memory(6)))

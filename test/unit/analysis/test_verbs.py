@@ -114,6 +114,7 @@ def test_questions(run, saved):
     assert data["transient"][0]["reward"] > 0
 
 
+@pytest.mark.long
 def test_a_plan_is_analysed_under_its_policy(run):
     _, out, _ = run("analyse", PLANS / "measure", "--json")
     plan = json.loads(out)

@@ -84,6 +84,7 @@ def test_the_logs_of_a_team_after_a_deploy(tmp_path, kind, partial, crash) -> No
         assert played.recorded > played.drawn
 
 
+@pytest.mark.long
 def test_the_verbs_read_them(tmp_path, capsys) -> None:
     logs = deployed_team(tmp_path, TOUR, True, False)
     folder = tmp_path / "plan"

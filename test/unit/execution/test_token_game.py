@@ -448,6 +448,7 @@ def test_on_failure_fire_and_stop() -> None:
     assert run.done("b", "T2") == []
 
 
+@pytest.mark.long
 def test_a_cycle_without_time_is_cut_off() -> None:
     net = (
         NetBuilder()

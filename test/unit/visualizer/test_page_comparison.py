@@ -197,6 +197,7 @@ def test_a_run_that_is_slower_than_planned_raises_the_alarm_on_the_page(started)
     wait_for(lambda: _model(client, key)["state"] == "over", what="the end of the comparison")
 
 
+@pytest.mark.long
 def test_a_run_that_cannot_be_predicted_is_said_to_be_so(started):
     zero = {"mean": 0, "distribution": "deterministic"}
     client = started(

@@ -77,6 +77,7 @@ def test_the_editor_and_the_board_show_one_drawing(tmp_path, with_positions_in_f
         assert shown == pytest.approx(found[node["name"]], abs=0.5)
 
 
+@pytest.mark.long
 def test_a_large_net_is_laid_out_soon_and_not_as_a_grid():
     found = lay_out(workshop(5000), anew=True, deadline=60.0)
     assert found.engine == "sfdp"

@@ -83,6 +83,7 @@ def test_what_makes_no_sense_is_refused(client: PageClient, fields: Any) -> None
     assert client.post("/api/what_if?id=plan", fields).status_code == 400
 
 
+@pytest.mark.long
 def test_the_page_gets_a_first_look_and_then_a_simulation(
     client: PageClient, plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -217,6 +217,7 @@ def test_an_attempt_that_a_timeout_cuts_off_is_a_failure_of_its_true_probability
     assert "durations are taken as exponential with their means (Fetch)" in one.assumptions
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("rule", "then"),
     [
