@@ -74,6 +74,7 @@ def main(words: Optional[Sequence[str]] = None) -> int:
     parser = argparse.ArgumentParser(prog="python3 -m benchmarks.proofs")
     parser.add_argument("--sites", nargs="*", default=list(SITES), choices=list(SITES))
     parser.add_argument("--robots", nargs="*", type=int, default=[1, 5, 20, 50])
+    parser.add_argument("--seconds", type=float, default=120.0, help="budget of a question (s)")
     parser.add_argument("--narrow", action="store_true", help="one robot fits in a node")
     args = parser.parse_args(words)
     print(machine_line(), flush=True)
@@ -89,7 +90,7 @@ def main(words: Optional[Sequence[str]] = None) -> int:
                 plan = site_plan(site, robots, Path(folder), **more)
             for name, question in questions(plan):
                 begun, used = time.perf_counter(), time.process_time()
-                answer = decide_question(plan, question, limit=2_000)
+                answer = decide_question(plan, question, limit=2_000, seconds=args.seconds)
                 seconds, used = time.perf_counter() - begun, time.process_time() - used
                 row: Dict[str, Any] = {
                     "site": site,

@@ -10,9 +10,9 @@ ones after the state equation: teams get stuck in them as in a run.
 3. *Ways home*, where the question is whether the robots of a plan can get back to their first
    places: one after another, while the others rest.
 4. *Exploration* of few markings, which finds the shortest firings that lead to a bad one.
-5. *Inductive invariants*: inequalities that z3 finds, if it is there, and that every firing keeps,
-   one because of the others. Of a net with many places, this comes after the next step.
-6. *Guided search* for such firings, from a solution of the state equation.
+5. *Guided search* for such firings, from a solution of the state equation, first for a second.
+6. *Inductive invariants*: inequalities that z3 finds, if it is there, and that every firing keeps,
+   one because of the others. Then the guided search has time.
 7. *Exploration* of as many markings as the limit and the time allow.
 
 The first step that decides ends it. What is *proven* has a certificate that
@@ -84,6 +84,9 @@ SHORTENING = 1.0
 
 PROVING = 0.6
 """The part of the time that is left then for the state equation."""
+
+SOON = 1.0
+"""Most time (s) for the guided search before z3."""
 
 Z3_SHARE = 0.3
 """The part of the time that is left then for z3, which decides soon or not at all."""
@@ -226,12 +229,14 @@ class _Ladder:
                 return answer
         few = min(self._limit, FEW_MARKINGS)
         answer = self._explore(few) if few else None
-        if answer is None:  # of many places, the rules are long
-            answer = self._wander(0.5) if large else self._induce()
+        if answer is None and large:
+            answer = self._wander(0.5)
+        if answer is None and found is not None:
+            answer = self._search(found, SOON)
+        if answer is None and self._problem.facts:
+            answer = self._induce()
         if answer is None and found is not None:
             answer = self._search(found)
-        if answer is None and large:
-            answer = self._induce()
         if answer is None and few < self._limit:
             answer = self._explore(self._limit)
         return answer or Answer(self._question, NOT_DECIDED, tuple(self._steps))
@@ -270,8 +275,6 @@ class _Ladder:
         return self._accepted("ways home", found)
 
     def _induce(self) -> Optional[Answer]:
-        if not self._problem.facts:
-            return None
         name = "inductive invariants"
         try:
             found = search_inductive(self._problem, self._watch.part(Z3_SHARE))
@@ -317,9 +320,10 @@ class _Ladder:
             marking=self._problem.net.named(marking, zeros=False),
         )
 
-    def _search(self, candidate: Candidate) -> Optional[Answer]:
+    def _search(self, candidate: Candidate, most: float = math.inf) -> Optional[Answer]:
         # from everywhere, the candidate may be no case: leave time to explore
-        watch = self._watch.part(0.5 if self._question.kind in FROM_EVERYWHERE else 1.0)
+        share = 0.5 if self._question.kind in FROM_EVERYWHERE else 1.0
+        watch = self._watch.part(share, most)
         sequence = realise(self._problem, candidate, watch)
         if sequence is not None:
             return self._found("guided search", sequence)
