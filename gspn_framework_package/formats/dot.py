@@ -110,8 +110,9 @@ def net_graph(
     and thin, exponential ones are white and thick, and inhibitor arcs end in a circle. Rates,
     weights, priorities, capacities and arc weights are shown where they differ from the default.
 
-    If all nodes of the net have positions, the drawing uses them; otherwise, and where the net has
-    subnets, whose drawings would overlap that of the surrounding net, Graphviz lays it out.
+    If all nodes of the net have positions, the drawing uses them and the bends of arcs; otherwise,
+    and where the net has subnets, whose drawings would overlap that of the surrounding net,
+    Graphviz lays it out.
 
     :param marking: the tokens to show, in place order; the initial marking by default.
     :param subnets: the parts of the net to draw a box around.
@@ -154,7 +155,7 @@ def net_graph(
             looks["arrowhead"] = "odot"
         if placed is not None:
             route = placed.routes[number]
-            looks["pos"] = "e,%s %s" % (_point(route.tip), " ".join(map(_point, route[:4])))
+            looks["pos"] = "e,%s %s" % (_point(route.tip), " ".join(map(_point, route.course)))
             if route.label is not None:
                 looks["lp"] = _point(route.label)
         graph.edge(arc.source, arc.target, **looks)
@@ -215,6 +216,7 @@ def _placed(net: Net, positions: Mapping[str, Point]) -> Optional[Routing]:
             number[arc.target],
             str(arc.weight) if arc.weight != 1 else "",
             _DOT_LENGTH if arc.inhibitor else _ARROW_LENGTH,
+            tuple((x, 0 - y) for x, y in arc.bends),
         )
         for arc in net.arcs
     ]

@@ -35,6 +35,7 @@ from gspn_framework_package.formats.xml_tree import (
     choose_net,
     label,
     line_of,
+    moved,
     name_of,
     number_text,
     points,
@@ -234,10 +235,7 @@ class _Reader:
             weight,
             kind == "inhibitor",
             line,
-            tuple(
-                (round(x - _HALF, 6), round(y - _HALF, 6))
-                for x, y in points(all_of(element, "arcpath")[1:-1])
-            ),
+            moved(points(all_of(element, "arcpath")[1:-1]), 1.0, -_HALF, 6),
         )
 
     def _tokens(self, text: Optional[str], default: int, what: str, name: str, line: int) -> int:
@@ -364,7 +362,7 @@ def _write_path(parent: etree._Element, drawn: Mapping[str, Point], arc: Arc) ->
         return
     begin, end = drawn.get(arc.source, arc.bends[0]), drawn.get(arc.target, arc.bends[-1])
     way = [begin, *arc.bends, end]
-    write_points(parent, "arcpath", [(round(x + _HALF, 9), round(y + _HALF, 9)) for x, y in way])
+    write_points(parent, "arcpath", moved(way, 1.0, _HALF))
     for number, point in enumerate(all_of(parent, "arcpath")):
         point.set("id", "%03d" % number)
         point.set("curvePoint", "false")

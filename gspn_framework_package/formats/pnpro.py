@@ -26,6 +26,7 @@ from gspn_framework_package.formats.xml_tree import (
     choose_net,
     coordinates,
     line_of,
+    moved,
     name_of,
     number_text,
     points,
@@ -351,10 +352,7 @@ class _Reader:
             self.draft.fail("a coloured net: its weight is '%s'" % shorten(text), what, line)
         weight = self._count(text, "weight", what, line) if text else 1
         # a place is two units wide, and its position is its corner
-        bends = tuple(
-            (round((x - 1) * _UNIT, 6), round((y - 1) * _UNIT, 6))
-            for x, y in points(all_of(element, "point"))
-        )
+        bends = moved(points(all_of(element, "point")), _UNIT, -_UNIT, 6)
         self.draft.add_arc(None, tail, head, weight, kind == "INHIBITOR", line, bends)
 
 
@@ -427,8 +425,7 @@ def to_bytes(net: Net) -> bytes:
                 kind="INHIBITOR" if arc.inhibitor else kind,
                 mult=str(arc.weight),
             )
-            bends = [(round(x / _UNIT + 1, 9), round(y / _UNIT + 1, 9)) for x, y in arc.bends]
-            write_points(edge, "point", bends)
+            write_points(edge, "point", moved(arc.bends, 1 / _UNIT, 1.0))
     return serialise(root, depth=4)
 
 

@@ -1,8 +1,9 @@
 """Routes arcs and places labels in drawings of nets whose nodes have fixed positions.
 
 With fixed nodes, Graphviz draws arcs on top of each other and labels across arcs, so this module
-places both. An arc is straight if possible, and bends away from nodes and from arcs that run along
-it; a label takes the nearest free spot to its node. Lengths are in points (1/72 inch), y upwards.
+places both. An arc goes through the bends that a person drew. Without them, it is straight if
+possible, and bends away from nodes and from arcs that run along it; a label takes the nearest free
+spot to its node. Lengths are in points (1/72 inch), y upwards.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ _DIRECTIONS = [
 ]
 _MAX_EXTENT = 20_000.0
 _MAX_LENGTH = 300_000.0
+_CORNER = 14.0  # this far before and after a bend that a person drew, an arc is round
 LINE_HEIGHT = 12.5
 LETTER = 6.4
 """Mean width of a letter in a node's label; wider than in most fonts, so that no label is cut."""
@@ -40,34 +42,45 @@ class NodeBox(NamedTuple):
 
 
 class Line(NamedTuple):
-    """An arc between two boxes (by number), with its label and the length of its arrow head."""
+    """An arc between two boxes (by number), with its label, the length of its arrow head, and the
+    bends that a person drew."""
 
     source: int
     target: int
     label: str
     head: float
+    bends: Tuple[Point, ...] = ()
 
 
 class Route(NamedTuple):
-    """The route of an arc: its start, two control points, the base and the tip of its head, and the
-    position of its label."""
+    """The route of an arc: its course from its start to the base of its head, the tip of the head,
+    and the position of its label. The course is a Bézier curve: points on it, with two control
+    points between each and the next."""
 
-    start: Point
-    first: Point
-    second: Point
-    base: Point
+    course: Tuple[Point, ...]
     tip: Point
-    label: Optional[Point]
+    label: Optional[Point] = None
+
+    @property
+    def start(self) -> Point:
+        """Where the arc leaves its source."""
+        return self.course[0]
+
+    @property
+    def base(self) -> Point:
+        """Where its head begins."""
+        return self.course[-1]
 
     def points(self) -> List[Point]:
         """Return positions along the route, at most about 6 pt apart."""
-        corners = (self.start, self.first, self.second, self.base)
-        number = max(4, int(sum(map(_distance, corners, corners[1:])) / _STEP) + 1)
-        found = []
-        for i in range(number + 1):
-            t = i / number
-            weights = ((1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t * t * (1 - t), t**3)
-            found.append(_mean(weights, corners))
+        found = [self.start]
+        for piece in range(0, len(self.course) - 1, 3):
+            corners = self.course[piece : piece + 4]
+            number = max(4, int(sum(map(_distance, corners, corners[1:])) / _STEP) + 1)
+            for i in range(1, number + 1):
+                t = i / number
+                weights = ((1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t * t * (1 - t), t**3)
+                found.append(_mean(weights, corners))
         return [*found, self.tip]
 
 
@@ -80,16 +93,20 @@ class Routing(NamedTuple):
 
 def layout(boxes: Sequence[NodeBox], lines: Sequence[Line]) -> Optional[Routing]:
     """Route the lines and place the labels; None if the drawing is too large to do this quickly."""
-    extent = max((abs(v) for box in boxes for v in box[:2]), default=0.0)
+    ends = [*(box[:2] for box in boxes), *(bend for line in lines for bend in line.bends)]
+    extent = max((abs(v) for end in ends for v in end), default=0.0)
     if extent > _MAX_EXTENT or len(boxes) * len(lines) > 100_000:
         return None
-    lengths = [_distance(boxes[line.source][:2], boxes[line.target][:2]) for line in lines]
+    lengths = []
+    for line in lines:
+        stops = [boxes[line.source][:2], *line.bends, boxes[line.target][:2]]
+        lengths.append(sum(map(_distance, stops, stops[1:])))
     if sum(lengths) > _MAX_LENGTH:
         return None
     routes: Dict[int, Route] = {}
     taken: Dict[Tuple[int, int], Set[int]] = {}
-    # shortest first, since long arcs can bend around others more easily
-    for number in sorted(range(len(lines)), key=lambda i: lengths[i]):
+    # what a person drew, then the shortest first: long arcs can bend around others more easily
+    for number in sorted(range(len(lines)), key=lambda i: (not lines[i].bends, lengths[i])):
         routes[number] = _route(boxes, lines, number, routes, taken)
         for x, y in routes[number].points():
             for i in (-1, 0, 1):
@@ -141,16 +158,42 @@ def _bent(boxes: Sequence[NodeBox], line: Line, bend: float) -> Route:
     dx, dy = b.x - a.x, b.y - a.y
     length = math.hypot(dx, dy) or 1.0
     middle = ((a.x + b.x) / 2 - 2 * bend * dy / length, (a.y + b.y) / 2 + 2 * bend * dx / length)
-    start, tip = _border(a, middle), _border(b, middle)
-    away = _distance(middle, tip) or 1.0
-    head = min(line.head, away / 2)
-    base = (
-        tip[0] + head * (middle[0] - tip[0]) / away,
-        tip[1] + head * (middle[1] - tip[1]) / away,
-    )
-    first = (start[0] + (middle[0] - start[0]) * 2 / 3, start[1] + (middle[1] - start[1]) * 2 / 3)
-    second = (base[0] + (middle[0] - base[0]) * 2 / 3, base[1] + (middle[1] - base[1]) * 2 / 3)
-    return Route(start, first, second, base, tip, None)
+    start, base, tip = _ends(boxes, line, middle, middle)
+    return Route((start, *_round(start, middle, base)), tip)
+
+
+def _ends(
+    boxes: Sequence[NodeBox], line: Line, first: Point, last: Point
+) -> Tuple[Point, Point, Point]:
+    """The start of an arc that leaves towards ``first``, and the base and the tip of the head with
+    which it comes from ``last``."""
+    tip = _border(boxes[line.target], last)
+    head = min(line.head, _distance(last, tip) / 2)
+    return _border(boxes[line.source], first), _toward(tip, last, head), tip
+
+
+def _toward(a: Point, b: Point, length: float) -> Point:
+    """The point that is ``length`` from a on the way to b."""
+    part = length / (_distance(a, b) or 1.0)
+    return a[0] + part * (b[0] - a[0]), a[1] + part * (b[1] - a[1])
+
+
+def _round(start: Point, corner: Point, end: Point) -> Tuple[Point, Point, Point]:
+    """The rest of the curve that leaves ``start`` towards a corner and comes to ``end`` from it."""
+    return _mean((1 / 3, 2 / 3), (start, corner)), _mean((1 / 3, 2 / 3), (end, corner)), end
+
+
+def _drawn(boxes: Sequence[NodeBox], line: Line) -> Route:
+    """The route through the bends that a person drew: straight, with round corners."""
+    start, base, tip = _ends(boxes, line, line.bends[0], line.bends[-1])
+    stops = [start, *line.bends, base]
+    course = [start]
+    for before, bend, after in zip(stops, stops[1:], stops[2:]):
+        ends = [_toward(bend, p, min(_CORNER, _distance(bend, p) / 2)) for p in (before, after)]
+        course += _round(course[-1], _mean((0.5, 0.5), (course[-1], ends[0])), ends[0])
+        course += _round(ends[0], bend, ends[1])
+    course += _round(course[-1], _mean((0.5, 0.5), (course[-1], base)), base)
+    return Route(tuple(course), tip)
 
 
 def _route(
@@ -162,6 +205,8 @@ def _route(
 ) -> Route:
     """Return the route with the lowest cost among the possible bends."""
     line = lines[number]
+    if line.bends:
+        return _drawn(boxes, line)
     ends = (boxes[line.source][:2], boxes[line.target][:2])
     others = [box for i, box in enumerate(boxes) if i not in (line.source, line.target)]
     tips = [routes[i].tip for i in routes if lines[i].target == line.target]
@@ -200,7 +245,8 @@ def _route(
 
 
 def _middle(route: Route) -> Point:
-    return _mean((0.125, 0.375, 0.375, 0.125), (route.start, route.first, route.second, route.base))
+    begin = 3 * (len(route.course) // 6)
+    return _mean((0.125, 0.375, 0.375, 0.125), route.course[begin : begin + 4])
 
 
 def _around(box: NodeBox) -> Iterator[Tuple[Point, Point, float]]:

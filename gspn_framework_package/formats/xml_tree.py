@@ -185,6 +185,14 @@ def points(elements: Iterable[etree._Element]) -> Tuple[Point, ...]:
     return tuple(filter(None, map(coordinates, elements)))
 
 
+def moved(bends: Iterable[Point], scale: float, shift: float, digits: int = 9) -> Tuple[Point, ...]:
+    """Points of a drawing in another unit: ``scale`` times each coordinate, plus ``shift``. They
+    are rounded, so that they return as they were."""
+    return tuple(
+        (round(scale * x + shift, digits), round(scale * y + shift, digits)) for x, y in bends
+    )
+
+
 def write_points(parent: etree._Element, name: str, bends: Iterable[Point]) -> None:
     """Write an element with ``x`` and ``y`` for each point."""
     from lxml import etree

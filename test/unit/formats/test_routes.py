@@ -36,6 +36,19 @@ def test_an_arc_alone_is_straight_and_ends_at_its_nodes():
     assert all(y == pytest.approx(0) for _, y in route.points())
 
 
+def test_an_arc_goes_through_the_bends_that_a_person_drew():
+    bends = ((50.0, 80.0), (150.0, 80.0))
+    boxes = [place(0, 0), transition(200, 0), place(100, 80)]
+    route = layout(boxes, [Line(0, 1, "", 7, bends), Line(0, 1, "", 7)]).routes[0]
+    points = route.points()
+    assert max(math.dist(a, b) for a, b in zip(points, points[1:])) < 8
+    for bend in bends:  # its corners are round
+        assert 0 < min(math.dist(bend, point) for point in points) < 14
+    assert all(y == pytest.approx(80) for x, y in points if 65 < x < 135)
+    assert math.dist(route.start, (0, 0)) == pytest.approx(15)
+    assert math.dist(route.base, route.tip) == pytest.approx(7)
+
+
 def test_arcs_between_the_same_nodes_are_apart():
     found = layout(
         [place(0, 0), transition(200, 0)],
