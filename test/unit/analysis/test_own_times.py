@@ -78,8 +78,11 @@ def write(folder: Any, data: Dict[str, Any], name: str = "plan.json") -> str:
     return str(folder / name)
 
 
-def throughputs(plan: Any, robots: int = 2, seed: int = 3) -> Dict[str, Any]:
-    result = simulate(plan.for_robots(robots), time=2_000.0, replications=200, seed=seed)
+def throughputs(
+    plan: Any, robots: int = 2, seed: int = 3, replications: int = 200
+) -> Dict[str, Any]:
+    asked = {"time": 2_000.0, "replications": replications, "seed": seed}
+    result = simulate(plan.for_robots(robots), **asked)
     return dict(result.throughput)
 
 
@@ -175,8 +178,8 @@ def test_what_robots_differ_in_is_learned_and_predicts_the_truth(
     for robots in (1, 2):
         rng = np.random.default_rng(robots)
         drawn = [
-            throughputs(draw_parameters(plan, rng).apply(plan), robots, seed)["there"].mean
-            for seed in range(40)
+            throughputs(draw_parameters(plan, rng).apply(plan), robots, seed, 40)["there"].mean
+            for seed in range(20)
         ]
         truth = sum(TRUTH[number] for number in range(1, robots + 1))
         error = float(np.std(drawn))
