@@ -24,6 +24,9 @@ export function simulationStage(page, start) {
   };
 }
 
+/** The name of a tool; what stands between bars is not seen on a narrow page. */
+const named = (text) => text.split("|").map((part, i) => (i % 2 ? h("span.wide", part) : part));
+
 export class Tools {
   constructor(page) {
     this.page = page;
@@ -200,7 +203,7 @@ export class Tools {
     this.speed = this.speed || 4;
     const { mayAct } = page;
     const button = (id, text, onclick, title, disabled = false) =>
-      h("button", { id, text, title, onclick, disabled });
+      h("button", { id, title, onclick, disabled }, named(text));
     const act = (id, text, onclick, title) =>
       button(id, text, onclick, mayAct ? title : ONLY_LOOK, !mayAct);
     const speeds = (id, label, values, chosen, unit, set) => {
@@ -214,9 +217,9 @@ export class Tools {
     let tools;
     if (mode === "SIMULATE") {
       tools = [
-        act("back", "◂ Back", () => this.back(), "Take a step back (←)"),
+        act("back", "◂| Back|", () => this.back(), "Take a step back (←)"),
         act("step", "Step ▸", () => this.step(1), "Simulate 1 step (→)"),
-        act("steps", "n steps ▸▸", () => this.step(this.steps), "Simulate n steps (Shift+→)"),
+        act("steps", "|n steps |▸▸", () => this.step(this.steps), "Simulate n steps (Shift+→)"),
         h(
           "label",
           h("input", {
@@ -242,13 +245,13 @@ export class Tools {
         rule(),
         act(
           "fire-chosen",
-          "Fire selected",
+          "Fire| selected|",
           () => this.fireChosen(),
           "Fire the selected transition (X)",
         ),
         act(
           "probabilities",
-          "Probabilities …",
+          "Probabilities| …|",
           () => this.probabilities(),
           "Set firing probabilities",
         ),
