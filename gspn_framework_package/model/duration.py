@@ -58,7 +58,8 @@ class DurationPart(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Family:
     """A family of distributions that are made of others: a part is drawn, and a time of it. What
-    the package needs to know of a time follows from the parts.
+    the package needs to know of a time follows from the parts. One that is made of no others gives
+    its quantiles to :func:`~gspn_framework_package.model.families.parts_of_quantiles`.
 
     :ivar value: its name in a plan file.
     :ivar form: its parameters in a plan file: name -> JSON Schema of the number, with its

@@ -21,6 +21,36 @@ FOLLOWS = (Kind.UNIFORM, Kind.EMPIRICAL, Kind.HYPER_ERLANG)
 """Families whose mean follows from the other parameters, so that a plan file may omit it."""
 
 
+_STEPS = 250
+"""Steps of probability between the quantiles of a part that is given by them."""
+
+_DECADES = 9
+"""A time that is given by its quantiles has no values above that of the level 1 - 1e-9."""
+
+
+def parts_of_quantiles(quantile: Callable[[Any], Any]) -> List[DurationPart]:
+    """The parts of a time that is made of no others: nine tenths of all times, nine tenths of the
+    longer ones, and so on, each by 251 of its quantiles. So a probability of the time is off by
+    0.4 % of that of its part at most, and for a smooth density by far less.
+
+    :param quantile: the time (s) that is not exceeded with each of an array of probabilities from 0
+        to 1 - 1e-9.
+    :raises PlanError: the quantiles are no times, or do not increase.
+    """
+    import numpy as np
+
+    longer = 0.1 ** np.arange(_DECADES + 1)
+    chances = longer[:-1] - longer[1:]
+    return [
+        DurationPart(
+            chance / (1.0 - longer[-1]),
+            0.0,
+            Duration.empirical(quantile(1.0 - np.linspace(more, less, _STEPS + 1))),
+        )
+        for chance, more, less in zip(chances.tolist(), longer, longer[1:])
+    ]
+
+
 def duration_from_json(data: Mapping[str, Any]) -> Duration:
     """The distribution in an object of a plan file that fits the schema.
 

@@ -8,6 +8,7 @@ in one of four.
 """
 
 import json
+import math
 import re
 
 import jsonschema
@@ -35,6 +36,7 @@ def toy_tables(add, toy_kind):
 
     add("a failure rule", ("patience", toy_rule.PATIENCE))
     add("a family of durations", ("at-least", toy_family.AT_LEAST))
+    add("a family of durations", ("rayleigh", toy_family.RAYLEIGH))
     add("a source of events", ("timer", toy_source.TIMER))
     add("an order of the operator", ("greet", toy_order.GREET))
 
@@ -144,6 +146,35 @@ def test_what_a_log_shows_is_learned_and_compared_with_it(folder, gspn, tmp_path
     assert (least, rest) == pytest.approx((1.0, 1.0), rel=0.1)
     compared = json.loads(gspn("compare", folder, log, "--json"))
     assert not compared["departs"]
+
+
+def test_a_family_that_is_made_of_no_others(toy_tables, gspn, tmp_path):
+    """An attempt that takes longer than its mean of 2 s is cut off: one of exp(-pi / 4)."""
+    folder = plan_in(
+        tmp_path / "plan",
+        durations={"Work": {"distribution": "rayleigh", "scale": 2 * math.sqrt(2 / math.pi)}},
+        timeout={"Work": 2.0},
+        failures={},
+        on_failure={"Work": "fire give_up"},
+    )
+    assert "ring (timer) interrupts Rest" in gspn("check", folder)
+    late, log = math.exp(-math.pi / 4), str(tmp_path / "log.jsonl")
+    fired = json.loads(gspn("analyse", folder, "--json"))["steady_state"]["throughput"]
+    assert fired["give_up"] / fired["begin"] == pytest.approx(late, abs=1e-3)
+    words = ["simulate", folder, "--time", "3000", "--warmup", "100", "--replications", "20"]
+    found = json.loads(gspn(*words, "--json", "--seed", "7"))["throughput"]
+    share = found["give_up"]["mean"] / found["begin"]["mean"]
+    assert share == pytest.approx(late, abs=0.025)  # some 6,000 attempts
+    words = ["optimise", folder, "--reward", "done=1", "--json", "-o", str(tmp_path / "best.json")]
+    assert json.loads(gspn(*words))["choices"][0]["best"] == {"begin": 1.0}
+    gspn("simulate", folder, "--time", "1500", "--seed", "3", "--log", log)
+    assert gspn("verify", log).splitlines()[-1] == "valid"
+    assert not json.loads(gspn("compare", folder, log, "--json"))["departs"]
+    learned = str(tmp_path / "learned.json")
+    gspn("fit", folder, log, "-o", learned, "--durations", "rayleigh")
+    assert read_plan(learned).durations["Work"].describe().startswith("rayleigh")
+    plan_in(tmp_path / "plan", durations={"Work": {"distribution": "rayleigh", "scale": 0.05}})
+    gspn("run", folder, "--firings", "4")
 
 
 def test_another_rule_is_seen_in_a_comparison(folder, gspn, tmp_path):
