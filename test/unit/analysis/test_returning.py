@@ -4,6 +4,7 @@ and need no markings where distances show the way."""
 import json
 import os
 import random
+import threading
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from gspn_framework_package.analysis import watch as watch_module
 from gspn_framework_package.analysis.graph import can_reach
 from gspn_framework_package.analysis.plan.markings import PlanMarkings
 from gspn_framework_package.analysis.plan.structure import terminal_places
-from gspn_framework_package.analysis.proofs import ladder, returning, witness
+from gspn_framework_package.analysis.proofs import inductive, ladder, returning, witness
 from gspn_framework_package.analysis.proofs.checker import (
     CountBox,
     ProofError,
@@ -209,8 +210,8 @@ def test_too_many_markings_follow(monkeypatch):
 
 @pytest.fixture
 def work_clock(monkeypatch):
-    """A clock that only work moves on: each firing, each fact that is held against counts, and a
-    linear program as long as it may."""
+    """A clock that only work moves on: each firing, each fact that is held against counts, a linear
+    program as long as it may, and a wait for z3."""
     now = [0.0]
 
     def takes_time(function, seconds):
@@ -224,7 +225,13 @@ def work_clock(monkeypatch):
         now[0] += options["time_limit"]
         return OptimizeResult(x=None, status=1)
 
+    class Awaited(threading.Thread):
+        def join(self, timeout=None):
+            now[0] += timeout or 0.0
+            super().join(timeout)
+
     monkeypatch.setattr(watch_module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(inductive, "threading", SimpleNamespace(Thread=Awaited))
     monkeypatch.setattr(Net, "fire", takes_time(Net.fire, 0.01))
     monkeypatch.setattr(CountBox, "allows", takes_time(CountBox.allows, 0.0001))
     monkeypatch.setattr("scipy.optimize.linprog", never_ends)
