@@ -137,6 +137,8 @@ def test_robots_in_the_past_of_a_live_run_are_where_they_were(shown):
     page.wait_for_function("() => gspn.model.board.n === 2")
     page.keyboard.press(" ")
     page.wait_for_function("() => !gspn.model.following")
+    # what lies between two reports is drawn: the second one is to come after the stretch is loaded
+    page.wait_for_function("() => gspn.page.room.past.known && !gspn.page.room.past.loading")
     hub.show_world(_poses(r1=(7.0, 1.0, 0.0, "odom")))
     page.wait_for_function("() => gspn.model.latest.world.robots.r1.pose[0] === 7")
     _settled(page, "r1", 1.0, 1.0)
