@@ -185,8 +185,6 @@ def _from_bag(plan: Plan, path: str, number: int) -> Tuple[List[Attempt], List[s
     from gspn_framework_package.visualizer.bag_replay import read_bag
 
     messages = read_bag(path)
-    if not messages:
-        raise LogError("holds no firings", file=path, hint="record the topic /fired_transitions")
     firings = [
         SeenFiring(
             seconds,

@@ -44,29 +44,23 @@ class BagReplay(Activity):
 
     def __init__(self, path: str, plans: List[Plan]) -> None:
         super().__init__()
-        self._path = path
-        messages = read_bag(path)
-        if not messages:
-            raise LogError(
-                "holds no firings", file=path, hint="record the topic /fired_transitions"
-            )
-        wanted = messages[0][1].plan
-        found = [plan for plan in plans if plan.hash() == wanted]
-        if not found:
-            raise LogError(
-                "its plan is unknown here",
-                file=path,
-                hint="give the plan with --plan, or put it into the served folder",
-            )
-        self.plan = found[0]
-        run = messages[0][1].run
-        of_plan = [message for _, message in messages if message.plan == wanted]
-        self.left_out = sorted({message.run for message in of_plan} - {run})
-        self._messages = [item for item in messages if (item[1].plan, item[1].run) == (wanted, run)]
-        self._others = [t for t, m in messages if m.run == run and m.plan != wanted]
-        """Times at which the team fired under other plans, which a bag does not contain."""
-        self._names = {name for _, message in self._messages for name in message.robots}
-        self._track = bag_track(path, self._names, self._messages[0][0])
+        with _opened(path) as bag:
+            messages = _firings(bag, path)
+            wanted, run = messages[0][1].plan, messages[0][1].run
+            found = [plan for plan in plans if plan.hash() == wanted]
+            if not found:
+                raise LogError(
+                    "its plan is unknown here",
+                    file=path,
+                    hint="give the plan with --plan, or put it into the served folder",
+                )
+            self.plan = found[0]
+            self.left_out = sorted({m.run for _, m in messages if m.plan == wanted} - {run})
+            self._messages = [(t, m) for t, m in messages if (m.plan, m.run) == (wanted, run)]
+            self._others = [t for t, m in messages if m.run == run and m.plan != wanted]
+            """Times at which the team fired under other plans, which a bag does not contain."""
+            self._names = {name for _, message in self._messages for name in message.robots}
+            self._track = _track(bag, self._names, self._messages[0][0])
         if len(self.plan.robots) != len(self._names):
             with contextlib.suppress(GspnError):  # the first message's marking decides then
                 self.plan = self.plan.for_robots(max(1, len(self._names)))
@@ -115,15 +109,20 @@ class BagReplay(Activity):
 def read_bag(path: str) -> List[Tuple[float, FiredMessage]]:
     """Pairs (seconds, message) of the firings in a bag, in recording order.
 
-    :raises LogError: the file is not a bag.
+    :raises LogError: the file is not a bag, or contains no firings.
     :raises UsageError: ROS's reader of bags is not installed.
     """
     with _opened(path) as bag:
-        topics = [topic for topic, kind in _topics(bag).items() if kind == TYPE]
-        return [
-            (t.to_sec(), message)
-            for _, message, t in (bag.read_messages(topics=topics) if topics else ())
-        ]
+        return _firings(bag, path)
+
+
+def _firings(bag: Any, path: str) -> List[Tuple[float, FiredMessage]]:
+    topics = [topic for topic, kind in _topics(bag).items() if kind == TYPE]
+    read = bag.read_messages(topics=topics) if topics else ()
+    firings = [(t.to_sec(), message) for _, message, t in read]
+    if not firings:
+        raise LogError("holds no firings", file=path, hint="record the topic /fired_transitions")
+    return firings
 
 
 def bag_track(path: str, names: Collection[str], begin: float) -> PoseTrack:
@@ -134,32 +133,38 @@ def bag_track(path: str, names: Collection[str], begin: float) -> PoseTrack:
     :param begin: the time of the bag's clock that is the beginning of the track (s).
     :raises LogError: the file is not a bag, or a message in it cannot be read.
     """
-    track = PoseTrack()
-    robots: Dict[str, RobotPose] = {}
     with _opened(path) as bag:
-        topics = _topics(bag)
-        if topics and bag.get_end_time() < begin:  # of another time, or of a simulated clock
-            return track
-        world = topics.get("/world/state") == TEXT_TYPE
-        sources = {} if world else pose_sources(topics, names)
-        for topic, kind in (("/map", MAP_TYPE), ("/world/room", TEXT_TYPE)):
-            if topics.get(topic) == kind and world == (kind == TEXT_TYPE):
-                sources[topic] = ("", "")
-        wanted = [*sources, *(["/world/state"] if world else ())]
-        for topic, message, t in bag.read_messages(topics=wanted) if wanted else ():
-            if topic == "/map":
-                track.room = map_to_json(message)
-            elif topic == "/world/room":
-                track.room = json.loads(message.data)
-            elif topic == "/world/state":
-                robots = json.loads(message.data)["robots"]
+        return _track(bag, names, begin)
+
+
+def _track(bag: Any, names: Collection[str], begin: float) -> PoseTrack:
+    track, grid = PoseTrack(), None
+    robots: Dict[str, RobotPose] = {}
+    topics = _topics(bag)
+    if topics and bag.get_end_time() < begin:  # of another time, or of a simulated clock
+        return track
+    world = topics.get("/world/state") == TEXT_TYPE
+    sources = {} if world else pose_sources(topics, names)
+    for topic, kind in (("/map", MAP_TYPE), ("/world/room", TEXT_TYPE)):
+        if topics.get(topic) == kind and world == (kind == TEXT_TYPE):
+            sources[topic] = ("", "")
+    wanted = [*sources, *(["/world/state"] if world else ())]
+    for topic, message, t in bag.read_messages(topics=wanted) if wanted else ():
+        if topic == "/map":
+            grid = message  # mapping sends it again and again
+        elif topic == "/world/room":
+            track.room = json.loads(message.data)
+        elif topic == "/world/state":
+            robots = json.loads(message.data)["robots"]
+            track.add(max(0.0, t.to_sec() - begin), robots)
+        else:
+            name, suffix = sources[topic]
+            pose = robot_pose(message, suffix)
+            if pose is not None:
+                robots[name] = pose
                 track.add(max(0.0, t.to_sec() - begin), robots)
-            else:
-                name, suffix = sources[topic]
-                pose = robot_pose(message, suffix)
-                if pose is not None:
-                    robots[name] = pose
-                    track.add(max(0.0, t.to_sec() - begin), robots)
+    if grid is not None:
+        track.room = map_to_json(grid)
     return track
 
 
