@@ -6,12 +6,12 @@ Markov chains; :func:`net_graph` uses it to draw nets."""
 from __future__ import annotations
 
 import subprocess
-from typing import Dict, List, Mapping, Optional, Sequence, Union
+from typing import Dict, List, Mapping, Optional, Sequence, Tuple, Union
 
 from gspn_framework_package.formats.routes import Line, NodeBox, Routing, layout
 from gspn_framework_package.model.errors import InputError, LimitError, UsageError
 from gspn_framework_package.model.marking_function import MarkingFunction, Value
-from gspn_framework_package.model.net import Net, Place, Point, Transition
+from gspn_framework_package.model.net import Arc, Net, Place, Point, Transition
 from gspn_framework_package.model.subnet import Subnet
 
 IMAGE_FORMATS = ("svg", "png", "pdf")
@@ -67,15 +67,25 @@ class Graph:
             "%s -> %s%s;" % (_quote(source), _quote(target), _attributes(attributes))
         )
 
-    def cluster(self, number: int, label: str, nodes: Sequence[str], parents: int) -> None:
+    def cluster(
+        self,
+        number: int,
+        label: str,
+        nodes: Sequence[str],
+        parents: int,
+        at: Mapping[str, Attribute],
+    ) -> None:
         """Begin a box around nodes that have been added; ``parents`` boxes stay open around it.
-        ``close`` ends them all."""
+        ``close`` ends them all.
+
+        :param at: where the box and its label are, if nodes have positions.
+        """
         self.close(parents)
         self._lines.append("subgraph %s {" % _quote("cluster_%d" % number))
         self._open += 1
         # a shade instead of a line, which could cross names, since Graphviz leaves no room for them
         look = {"label": label, "style": "rounded,filled", "fillcolor": _SHADE, "color": "none"}
-        self._lines.append("graph%s;" % _attributes(look))
+        self._lines.append("graph%s;" % _attributes({**look, **at}))
         self._lines += ["%s;" % _quote(node) for node in nodes]
 
     def close(self, left: int = 0) -> None:
@@ -110,15 +120,14 @@ def net_graph(
     and thin, exponential ones are white and thick, and inhibitor arcs end in a circle. Rates,
     weights, priorities, capacities and arc weights are shown where they differ from the default.
 
-    If all nodes of the net have positions, the drawing uses them and the bends of arcs; otherwise,
-    and where the net has subnets, whose drawings would overlap that of the surrounding net,
-    Graphviz lays it out.
+    If all nodes of the net have positions, the drawing uses them and the bends of arcs, and moves
+    the nodes around a subnet aside; otherwise, Graphviz lays it out.
 
     :param marking: the tokens to show, in place order; the initial marking by default.
     :param subnets: the parts of the net to draw a box around.
     """
     nodes = len(net.places) + len(net.transitions)
-    positions = {} if subnets else _positions(net)
+    positions = _unfolded(_positions(net), subnets)
     attributes: Dict[str, Attribute] = {"fontname": "Helvetica", "forcelabels": "true"}
     placed = _placed(net, positions) if positions else None
     if placed is not None:
@@ -159,15 +168,19 @@ def net_graph(
             if route.label is not None:
                 looks["lp"] = _point(route.label)
         graph.edge(arc.source, arc.target, **looks)
-    _draw_boxes(graph, subnets)
+    _draw_boxes(graph, subnets, positions)
     return graph
 
 
-def _draw_boxes(graph: Graph, subnets: Mapping[str, Subnet]) -> None:
+def _draw_boxes(
+    graph: Graph, subnets: Mapping[str, Subnet], positions: Mapping[str, Point]
+) -> None:
     def draw(parent: str, depth: int) -> None:
         for number, (name, subnet) in enumerate(subnets.items()):
             if subnet.parent == parent:
-                graph.cluster(number, name, (*subnet.places, *subnet.transitions), depth)
+                nodes = (*subnet.places, *subnet.transitions)
+                spots = [positions[node] for node in nodes] if positions else []
+                graph.cluster(number, name, nodes, depth, _box(spots))
                 draw(name, depth + 1)
 
     draw("", 0)
@@ -185,6 +198,34 @@ def _positions(net: Net) -> Dict[str, Point]:
     if len(found) < len(net.places) + len(net.transitions) or len(set(found.values())) < 2:
         return {}
     return found
+
+
+def _unfolded(positions: Mapping[str, Point], subnets: Mapping[str, Subnet]) -> Mapping[str, Point]:
+    """Positions at which each subnet has room, as on the page: the nodes around it move aside as
+    far as its drawing extends from its entry."""
+    at = {name: list(point) for name, point in positions.items()}
+    inside = {name: {*subnet.places, *subnet.transitions} for name, subnet in subnets.items()}
+    for name, subnet in reversed(list(subnets.items()) if at else []):
+        beside = [n for n, other in subnets.items() if n != name and other.parent == subnet.parent]
+        around = (inside[subnet.parent] if subnet.parent else at.keys()) - inside[name]
+        for axis in (0, 1):
+            begin = at[subnet.entry][axis]
+            reach = [at[node][axis] - begin for node in inside[name]]
+            # another subnet stays in one piece
+            piece = {node: subnets[n].entry for n in beside for node in inside[n]}
+            sides = {node: at[piece.get(node, node)][axis] - begin for node in around}
+            for node, side in sides.items():
+                at[node][axis] += max(reach) if side > 0 else min(reach) if side < 0 else 0
+    return {name: (x, y) for name, (x, y) in at.items()}
+
+
+def _box(spots: Sequence[Point]) -> Dict[str, Attribute]:
+    """The box around nodes that are drawn there, with its label at the top; of none, nowhere."""
+    if not spots:
+        return {}
+    (left, right), (top, bottom) = ((min(v), max(v)) for v in zip(*spots))
+    box = (left - 40, -bottom - 40, right + 40, 60 - top)
+    return {"bb": "%.2f,%.2f,%.2f,%.2f" % box, "lp": _point(((left + right) / 2, 48 - top))}
 
 
 def _at(name: str, positions: Mapping[str, Point]) -> Dict[str, Attribute]:
@@ -216,11 +257,20 @@ def _placed(net: Net, positions: Mapping[str, Point]) -> Optional[Routing]:
             number[arc.target],
             str(arc.weight) if arc.weight != 1 else "",
             _DOT_LENGTH if arc.inhibitor else _ARROW_LENGTH,
-            tuple((x, 0 - y) for x, y in arc.bends),
+            _moved(net, arc, positions),
         )
         for arc in net.arcs
     ]
     return layout(boxes, lines)
+
+
+def _moved(net: Net, arc: Arc, positions: Mapping[str, Point]) -> Tuple[Point, ...]:
+    """The bends of an arc, which move with the middle between its ends; y upwards."""
+    (x, y), (drawn_x, drawn_y) = (
+        tuple(sum(at[end][axis] for end in (arc.source, arc.target)) / 2 for axis in (0, 1))
+        for at in (positions, net.positions)
+    )
+    return tuple((bx + x - drawn_x, drawn_y - y - by) for bx, by in arc.bends)
 
 
 def _point(point: Point) -> str:

@@ -1,5 +1,6 @@
 """Drawing with Graphviz."""
 
+import math
 import re
 import shutil
 import sys
@@ -14,6 +15,8 @@ from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats import dot, read_net, write_net
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import InputError, LimitError, UsageError
+from gspn_framework_package.model.net import Net
+from gspn_framework_package.model.subnet import Subnet
 
 needs_graphviz = pytest.mark.skipif(shutil.which("dot") is None, reason="Graphviz is not installed")
 
@@ -100,6 +103,30 @@ def test_fixed_nodes_get_arcs_and_labels_at_fixed_spots():
     assert len(re.findall(r' lp="', text)) == 1
     far = NetBuilder("far").place("a", position=(0, 0)).place("b", position=(1e300, 3)).build()
     assert 'layout="neato"' in dot.net_graph(far).text()
+
+
+def test_a_subnet_is_drawn_as_it_was_and_the_nodes_around_it_make_room():
+    net = (
+        NetBuilder("n")
+        .place("a", position=(0, 0))
+        .place("S.in", position=(100, 0))
+        .place("S.out", position=(300, -50))
+        .immediate("S.t", position=(200, 0), inputs="S.in", outputs="S.out")
+        .immediate("go", position=(50, 0), inputs="a", outputs="S.in")
+        .immediate("back", position=(150, 0), inputs="S.out", outputs="a")
+        .build()
+    )
+    arcs = [a._replace(bends=((225.0, 70.0),)) if a.source == "S.out" else a for a in net.arcs]
+    bent = Net(net.places, net.transitions, arcs, net.name)
+    subnets = {"S": Subnet("plan", "S.in", "S.out", ("S.in", "S.out"), ("S.t",))}
+    text = dot.net_graph(bent, subnets=subnets).text()
+    at = dict(re.findall(r'^ *"([\w.]+)" \[.*\bpos="([-\d.,]+)!', text, re.MULTILINE))
+    assert at["S.out"] == "300.00,50.00" and at["go"] == "50.00,0.00"
+    assert at["back"] == "350.00,0.00"  # as far to the right as the subnet reaches
+    course = re.findall(r'"S.out" -> "back" \[.*pos="e,([-\d., ]+)', text)[0]
+    points = [tuple(map(float, point.split(","))) for point in course.split()]
+    assert min(math.dist(point, (325, -70)) for point in points) < 20
+    assert text.count("bb=") == 1
 
 
 @pytest.mark.long
