@@ -235,6 +235,7 @@ def test_arcs_are_bent_by_hand(edit, tmp_path):
     assert bends()[bent] == [[240, 160]]
     # as it is drawn, so it is saved, and shown where tokens run along it
     drawn = page.evaluate("(c) => eval(c)(window.gspn.edit.canvas.arcs.all)", COURSE)
+    assert page.evaluate("() => window.gspn.edit.canvas.bounds()[3]") > 160  # all is in sight
     key(page, "Control+s")
     page.wait_for_function("() => !window.gspn.edit.document.dirty")
     saved = json.loads((tmp_path / "plans" / "bent" / "plan.json").read_text())
@@ -242,6 +243,7 @@ def test_arcs_are_bent_by_hand(edit, tmp_path):
     page.click("#ed-close")
     page.wait_for_selector("body[data-mode=SIMULATE][data-ready]")
     assert page.evaluate("(c) => eval(c)(window.gspn.page.view.arcs.all)", COURSE) == drawn
+    assert page.evaluate("() => window.gspn.page.view.bounds()[3]") > 160
     legs = page.evaluate(
         """() => { const { travel, places, transitions } = window.gspn.page.view;
         return [[places[0], transitions[0]], [transitions[0], places[0]]]

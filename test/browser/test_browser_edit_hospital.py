@@ -8,8 +8,8 @@ WARDS = ("pharmacy", "lab", "kitchen", "laundry", "surgery")
 MOST = 200
 ACTIONS = "def carry():\n    pass\n\n\ndef drive():\n    pass\n"
 KINDS = {
-    "function": "a function in the plan's folder",
-    "resource": "resource place: its tokens are counters",
+    "function": "a function of the plan",
+    "resource": "resource place (counters)",
 }
 
 

@@ -160,13 +160,13 @@ def complete(editor):
     film.say("Resource places count: a tap, the beds that are watered", 0.6)
     for place in ("Tap", "Watered"):
         editor.choose("place:" + place)
-        editor.select("kind." + place, label="resource place: its tokens are counters")
+        editor.select("kind." + place, label="resource place (counters)")
     film.say("What a robot does in a place: a Python function, or any action of ROS", 0.6)
     for place, action in (("Water", "actions.Watering"), ("Refill", "actions.refill")):
         editor.choose("place:" + place)
         editor.tab("properties")
         editor.press("plan.actions.%s add" % place)
-        editor.select("plan.actions.%s.kind" % place, label="a function in the plan's folder")
+        editor.select("plan.actions.%s.kind" % place, label="a function of the plan")
         editor.enter("plan.actions.%s.function" % place, action)
     editor.choose("place:Look")
     editor.tab("properties")

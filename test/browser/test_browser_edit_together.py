@@ -81,13 +81,15 @@ def test_two_people_see_each_others_work_and_lose_none(people, axe, picture):
     change(
         ann,
         "d.net.places[0].tokens = 3; d.net.places.push({name: 'C', position: [0, 200]});"
-        "d.policy.rows.push({marking: [2], choose: {go: 1}}); d.plan.seed = 7;",
+        "d.policy.rows.push({marking: [2], choose: {go: 1}}); d.plan.seed = 7;"
+        "d.net.arcs[1].bends = [[200, -90]];",
     )
     change(
         ben,
         "d.net.places[0].position = [-50, 0]; d.net.places.push({name: 'C', tokens: 2, position: [200, 200]});"
         "d.net.arcs.push({from: 'C', to: 'back'}); d.policy.places.push('B');"
-        "d.policy.rows[0].marking.push(0); d.plan.description = 'Ben';",
+        "d.policy.rows[0].marking.push(0); d.plan.description = 'Ben';"
+        "d.net.arcs[2].bends = [[220, 90], [160, 110]];",
     )
     for page in (ann, ben):
         wait_until(page, "d.plan.seed === 7 && d.plan.description === 'Ben'")
@@ -99,6 +101,8 @@ def test_two_people_see_each_others_work_and_lose_none(people, axe, picture):
         policy = state(page)["policy"]
         assert policy["places"] == ["A", "B"]
         assert [row["marking"] for row in policy["rows"]] == [[1, 0], [2, "-"]]
+        bends = {arc["from"]: arc["bends"] for arc in state(page)["net"]["arcs"] if "bends" in arc}
+        assert bends == {"go": [[200, -90]], "B": [[220, 90], [160, 110]]}
 
     # undo takes back the own edit, and nothing of the other's
     ann.click("#ed-undo")

@@ -99,6 +99,7 @@ def test_a_node_is_drawn_simulated_and_followed_live(window, site, show_net, tmp
     window.open(site(Project(Folder(str(folder)), edits=True)).address)
     window.click("#opening button")
     window.until("document.body.dataset.mode === 'SIMULATE' && 'ready' in document.body.dataset")
+    window.click("#tab-optimise")
     window.click("#ed-open")
     window.until("document.body.dataset.mode === 'EDIT' && 'ready' in document.body.dataset")
     # an arc, and the node at its end, from the rim of a place
@@ -121,9 +122,12 @@ def test_a_node_is_drawn_simulated_and_followed_live(window, site, show_net, tmp
     assert saved["net"]["arcs"] == PLAN["net"]["arcs"]
     window.click("#ed-close")
     window.until("document.body.dataset.mode === 'SIMULATE' && 'ready' in document.body.dataset")
+    window.until("document.querySelector('#op-start')")  # the tab that was open has its content
     window.keys("\ue014")  # an arrow to the right: a step
     window.until("window.gspn.model.board.n === 1 && !window.gspn.page.view.travel.inFlight.size")
     assert window.run("return window.gspn.model.board.marking") == [0, 1, 0]
+    course = "return window.gspn.page.view.arcs.all[1].line"
+    simulated = window.run(course)
     assert window.run("return window.faults") == []
 
     plan = read_plan(str(folder / "one.json"))
@@ -136,4 +140,5 @@ def test_a_node_is_drawn_simulated_and_followed_live(window, site, show_net, tmp
         "window.gspn.model.board.n === 1 && !window.gspn.page.view.pendingRobots.size"
         " && document.querySelector('#net .place:nth-of-type(2) .robot')"
     )
+    assert window.run(course) == simulated and "Q" in simulated  # through its bend
     assert window.run("return window.faults") == []

@@ -55,6 +55,20 @@ function isBeside(spot, way) {
 export const bendsOf = ({ from, to, bends }) =>
   (bends || NOTHING).map(([x, y]) => [x + (from.x + to.x) / 2, y + (from.y + to.y) / 2]);
 
+/** The box around nodes and the bends of arcs, [left, top, right, bottom]: `margin` wider than these, at the top
+ * `above`; null without nodes. */
+export function boundsOf(nodes, arcs, margin, above) {
+  if (!nodes.length) return null;
+  let [x0, y0, x1, y1] = [Infinity, Infinity, -Infinity, -Infinity];
+  for (const [x, y] of [...nodes.map((node) => [node.x, node.y]), ...arcs.flatMap(bendsOf)]) {
+    x0 = Math.min(x0, x);
+    y0 = Math.min(y0, y);
+    x1 = Math.max(x1, x);
+    y1 = Math.max(y1, y);
+  }
+  return [x0 - margin, y0 - above, x1 + margin, y1 + margin];
+}
+
 /** Through how many nodes an arc runs if it bends like that, up to `most`. */
 function through({ from, to }, bends, length, near, most) {
   const [dx, dy] = [to.x - from.x, to.y - from.y];

@@ -196,20 +196,6 @@ export function discs(count) {
   return { radius, centres, square: count > 4 };
 }
 
-/** The box around nodes, [left, top, right, bottom]: `margin` wider than their centres, at the top `above`; null
- * without nodes. */
-export function boundsOf(nodes, margin, above) {
-  if (!nodes.length) return null;
-  let [x0, y0, x1, y1] = [Infinity, Infinity, -Infinity, -Infinity];
-  for (const { x, y } of nodes) {
-    x0 = Math.min(x0, x);
-    y0 = Math.min(y0, y);
-    x1 = Math.max(x1, x);
-    y1 = Math.max(y1, y);
-  }
-  return [x0 - margin, y0 - above, x1 + margin, y1 + margin];
-}
-
 /** Begin a path on a canvas through these points. */
 export function trace(canvas, points) {
   canvas.beginPath();

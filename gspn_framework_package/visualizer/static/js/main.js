@@ -442,7 +442,8 @@ class Page {
     const says = info.says || MODE_SAYS[mode] || "";
     announce(`${mode}: ${says}`);
     this.connection.show();
-    if (mode !== "SIMULATE" && this.model.scene.plan) this.openTab("robots");
+    const runs = mode !== "SIMULATE" && this.model.scene.plan;
+    this.openTab(runs ? "robots" : TABS.find((one) => !$(one).hidden));
   }
 
   showRun() {

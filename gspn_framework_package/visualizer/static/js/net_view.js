@@ -3,7 +3,7 @@
 
 import { h, s } from "./dom.js";
 import { Arcs } from "./net_arcs.js";
-import { boundsOf } from "./geometry.js";
+import { boundsOf } from "./arc_routes.js";
 import { Camera } from "./net_camera.js";
 import { Pointer } from "./net_pointer.js";
 import {
@@ -118,7 +118,7 @@ export class NetView extends EventTarget {
   }
 
   bounds() {
-    return boundsOf(this.nodes, 24, 32) || [0, 0, 100, 100];
+    return boundsOf(this.nodes, this.arcs.all, 24, 32) || [0, 0, 100, 100];
   }
 
   // -- the board -----------------------------------------------------------------------------------

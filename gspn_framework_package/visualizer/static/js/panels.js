@@ -17,7 +17,7 @@ const between = (low, value, high) =>
 /** The default size of each part. */
 const DEFAULT = {
   left: (width) => between(190, width * 0.16, 300),
-  right: (width) => between(290, width * 0.242, 560),
+  right: (width) => between(312, width * 0.242, 560),
   bottom: (width, height) => between(128, height * 0.21, 260),
   log: (width) => between(220, width * 0.242, 560),
   under: (width, height) => between(150, height * 0.42, 420),

@@ -10,7 +10,7 @@ import { objectForm } from "./schema_form.js";
 
 const TITLES = {
   none: "nothing: done at once",
-  function: "a function in the plan's folder",
+  function: "a function of the plan",
   server: "an action server",
   service: "a call of a service",
   publish: "publish a message",
@@ -133,7 +133,7 @@ function palette(form, lens, title, kind, allowed) {
   const select = h(
     "select",
     { "data-key": `${lens.key} palette` },
-    options([["", "choose an existing one …"]]),
+    options([["", "existing ones …"]]),
     entries.map(([name, list]) =>
       h(
         "optgroup",

@@ -2,8 +2,8 @@
 // elements of changed objects are redrawn: an edit costs the same in a large net as in a small one.
 
 import { s } from "../dom.js";
-import { ArcRoutes, bendsOf } from "../arc_routes.js";
-import { arcLine, arcEnd, boundsOf, distance } from "../geometry.js";
+import { ArcRoutes, bendsOf, boundsOf } from "../arc_routes.js";
+import { arcLine, arcEnd, distance } from "../geometry.js";
 import { Camera } from "../net_camera.js";
 import { Labels } from "../labels.js";
 import { buildPlace, buildTransition, drawPlace, follow, put, settle } from "../net_nodes.js";
@@ -135,7 +135,7 @@ export class Canvas extends EventTarget {
   }
 
   bounds() {
-    return boundsOf(this.nodes, 40, 40) || [0, 0, 480, 320];
+    return boundsOf(this.nodes, this.arcs.all, 40, 40) || [0, 0, 480, 320];
   }
 
   // -- drawing what changed ------------------------------------------------------------------------

@@ -110,7 +110,7 @@ export function fields(
     ),
     form.namer(
       lens.key,
-      `Name of another field of ${label}`,
+      `Another field of ${label}`,
       (name) => problemOfKey(lens, name) || check(name),
       (name) => {
         form.wanted = inside(name).key;

@@ -319,12 +319,14 @@ export class EditMode extends EventTarget {
 
   zoomButtons() {
     const { camera } = this.canvas;
-    const button = (id, text, title, onclick) =>
-      h("button.icon", { id, text, title, "aria-label": title, onclick });
+    const button = (id, title, onclick) => {
+      const icon = $(id).firstElementChild.cloneNode(true);
+      return h("button.icon", { id: `ed-${id}`, title, "aria-label": title, onclick }, icon);
+    };
     $("ed-zoom").append(
-      button("ed-zoom-in", "+", "Zoom in", () => camera.zoom(1.25)),
-      button("ed-zoom-out", "−", "Zoom out", () => camera.zoom(0.8)),
-      button("ed-fit", "F", "Fit the net (F)", () => camera.fit()),
+      button("zoom-in", "Zoom in", () => camera.zoom(1.25)),
+      button("zoom-out", "Zoom out", () => camera.zoom(0.8)),
+      button("fit", "Fit the net (F)", () => camera.fit()),
     );
   }
 

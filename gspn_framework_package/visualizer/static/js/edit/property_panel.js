@@ -249,10 +249,10 @@ export class PropertyPanel extends PlanForm {
         this.document.edit(label, (state) => ({ plan: withKind(state.plan, names, value) })),
     );
     const options = [
-      ["action", "action place: its tokens are robots"],
-      ["resource", "resource place: its tokens are counters"],
+      ["action", "action place (robots)"],
+      ["resource", "resource place (counters)"],
     ];
-    if (lens.get() === "open") options.unshift(["open", "a robot place without an action"]);
+    if (lens.get() === "open") options.unshift(["open", "place of robots, no action"]);
     return this.choice(lens, "kind", options, { what: `the kind of ${names.join(", ")}` });
   }
 
