@@ -9,6 +9,7 @@ from gspn_framework_package.execution.plan_change import stage_of
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros.check_all import check_all
+from gspn_framework_package.team.addressing import whom_to_order
 from gspn_framework_package.team.carrier import OperatorRequest
 from gspn_framework_package.team.deploy_team import DeployOutcome, Votes, deploy_to_team
 from gspn_framework_package.team.operator_client import RobotLine, ask_robots
@@ -68,7 +69,6 @@ class PageOrders:
 
     def __init__(self, team: OrderedTeam, connection: TeamConnection) -> None:
         self._team, self._connection = team, connection
-        self._lengths: Dict[str, int] = {}
         self._line = connection.line(LONGEST_ORDER_TIME)
         self.commands: Dict[str, Handler] = {
             command: self._handler(command, kind)
@@ -95,10 +95,7 @@ class PageOrders:
                 return False, str(error)
 
         def statuses() -> List[Dict[str, Any]]:
-            found = self._team.statuses(sorted(self._team.names), line)
-            ours = {at: status for at, status in found if status["run"] == self._team.run}
-            self._lengths.update({at: int(status["log_length"]) for at, status in ours.items()})
-            return list(ours.values())
+            return list(self._answering(line).values())
 
         try:
             return deploy_to_team(order, statuses, stage_of(plan, mapping), tell=tell)
@@ -117,26 +114,38 @@ class PageOrders:
         return run
 
     def _order(self, order: PageOrder) -> Dict[str, Any]:
-        """Send an order to the robots of the run in turn, until one answers.
+        """Send an order to a robot of the run that answers. No other robot gets it too: an order
+        that two robots were given might be carried out twice.
 
-        :raises RefusedError: the order was not carried out.
+        :raises RefusedError: the order was not carried out, or nobody knows whether it was.
         """
         command, robot, argument = order
+        # a busy team may take longer than once
+        there = self._answering(self._line) or self._answering(self._line)
+        if not there:
+            raise RefusedError(
+                "no robot of run '%s' answers" % self._team.run
+                if self._team.names
+                else "no robot of the run has been heard from yet"
+            )
+        at = whom_to_order(there, command, robot)
+        name = there[at]["robot"]
         request = OperatorRequest(command, robot, argument, self._team.run)
-        for address in self._first_to_order(command, robot):
-            there = {address: self._team.names.get(address, "")}
-            answer = ask_robots(self._line, there, request, LONGEST_ORDER_TIME + 0.2)[address]
-            if answer is None:
-                continue
-            if not answer.success:
-                raise RefusedError(answer.message)
-            self._team.obeyed(order)
-            return {"message": answer.message}
-        raise RefusedError(
-            "no robot of run '%s' answers" % self._team.run
-            if self._team.names
-            else "no robot of the run has been heard from yet"
-        )
+        answer = ask_robots(self._line, {at: name}, request, LONGEST_ORDER_TIME + 0.2)[at]
+        if answer is None:
+            raise RefusedError(
+                "%s was given the order and has not answered" % name,
+                hint="see whether the team has carried it out before you repeat it",
+            )
+        if not answer.success:
+            raise RefusedError(answer.message)
+        self._team.obeyed(order)
+        return {"message": answer.message}
+
+    def _answering(self, line: RobotLine) -> Dict[str, Dict[str, Any]]:
+        """The robots of the run that answer: address -> status."""
+        found = self._team.statuses(sorted(self._team.names), line)
+        return {at: status for at, status in found if status["run"] == self._team.run}
 
     def _set_breakpoints(self, names: List[str]) -> Dict[str, Any]:
         """Make every robot of the run stop at these places and transitions.
@@ -156,19 +165,3 @@ class PageOrders:
         if refusals or not there:
             raise RefusedError("; ".join(refusals) or "no robot of the run has been heard from yet")
         return {"message": "robots stop at: %s" % found.in_words}
-
-    def _first_to_order(self, command: str, robot: str) -> List[str]:
-        """The addresses of the run's robots, in the order to try them: first the robot concerned
-        (or last, if the order evicts it), then whoever had the longest log when it was last asked,
-        and at the end those that are gone."""
-        names, gone = self._team.names, self._team.gone
-        own_last = ORDERS[command].against_robot
-        return sorted(
-            names,
-            key=lambda n: (
-                names[n] in gone,
-                (names[n] == robot) == own_last,
-                -self._lengths.get(n, 0),
-                n,
-            ),
-        )

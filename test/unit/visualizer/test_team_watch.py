@@ -29,6 +29,7 @@ class Silence:
 
     def __init__(self, orders=True):
         self.orders, self.answers, self.asked, self.reported = orders, {}, [], []
+        self.statuses = {}
 
     def open(self, seen):
         pass
@@ -40,6 +41,9 @@ class Silence:
         return self
 
     def call(self, address, robot, request, answered):
+        if request.command == "status" and address in self.statuses:
+            answered(OperatorAnswer(True, json.dumps(self.statuses[address])))
+            return True
         self.asked.append((address, request.command, request.argument))
         if isinstance(self.answers.get(address), Exception):
             raise self.answers[address]
@@ -83,19 +87,26 @@ class Watched:
         """One robot of the team says where all are: in ``place``, or where that has each."""
         self.length += 1
         team = place if isinstance(place, dict) else dict.fromkeys(("robot_1", "robot_2"), place)
+        status = self.status(team, run=run, **more)
+        status.update(plan=plan or self.plan.hash(), ended=ended)
+        heard = self.watch._read_answer("/robot_1", json.dumps(status))
+        self.watch._on_answers(False, heard, deployed)
+
+    def status(self, team, robot="robot_1", run="monday", **more):
+        """What a robot says of the team (robot -> place)."""
         robots = [
             {"robot": name, "place": at, "state": "Doing", "visit": self.length, "waits_for": ""}
             for name, at in team.items()
         ]
-        status = {
-            "robot": "robot_1",
+        return {
+            "robot": robot,
             "run": run,
-            "plan": plan or self.plan.hash(),
+            "plan": self.plan.hash(),
             "log_length": self.length,
             "robots": robots,
             "marking": Counter(team.values()),
             "paused": False,
-            "ended": ended,
+            "ended": None,
             "finished": False,
             "fault": False,
             "synchronisation": "full",
@@ -104,8 +115,6 @@ class Watched:
             "waits_for": "",
             **more,
         }
-        heard = self.watch._read_answer("/robot_1", json.dumps(status))
-        self.watch._on_answers(False, heard, deployed)
 
     def notes(self):
         return [note["text"] for note in self.hub.board().notes]
@@ -334,16 +343,36 @@ def test_a_plan_that_cannot_be_read_is_none(said):
     assert read_deployed("monday", said) is None
 
 
-def test_an_order_goes_to_the_robot_that_it_concerns_then_to_the_others(monkeypatch):
+def test_an_order_goes_to_the_robot_that_it_concerns_or_to_one_that_knows_most(monkeypatch):
     page = Watched(monkeypatch)
     page.watch.names = {"/r1": "robot_1", "/r2": "robot_2"}
-    page.connection.answers = {"/r1": OperatorAnswer(True, "so be it")}
-    assert page.watch.command("retry", {"robot": "robot_2"}) == {"message": "so be it"}
-    assert page.connection.asked == [("/r2", "retry", ""), ("/r1", "retry", "")]
-    page.connection.answers = {"/r1": OperatorAnswer(False, "no such task")}
+    said = OperatorAnswer(True, "so be it")
+    page.connection.answers = {"/r1": said, "/r2": said}
+    page.connection.statuses = {
+        "/r1": page.status({}, "robot_1"),
+        "/r2": page.status({}, "robot_2", log_length=7),
+    }
+    orders = (("retry", "robot_1", "/r1"), ("pause", "", "/r2"), ("evict", "robot_2", "/r1"))
+    for command, robot, at in orders:
+        page.connection.asked.clear()
+        assert page.watch.command(command, {"robot": robot}) == {"message": "so be it"}
+        assert page.connection.asked == [(at, command, "")]
+    del page.connection.statuses["/r1"]  # it does not answer
+    assert page.watch.command("retry", {"robot": "robot_1"}) == {"message": "so be it"}
+    page.connection.answers["/r2"] = OperatorAnswer(False, "no such task")
     with pytest.raises(RefusedError, match="no such task"):
         page.watch.command("retry", {"robot": "robot_1"})
-    page.connection.answers = {}
+
+
+def test_an_order_without_an_answer_is_not_given_to_another_robot(monkeypatch):
+    """It might be carried out twice."""
+    page = Watched(monkeypatch)
+    page.watch.names = {"/r1": "robot_1", "/r2": "robot_2"}
+    page.connection.statuses = {"/r%d" % i: page.status({}, "robot_%d" % i) for i in (1, 2)}
+    with pytest.raises(RefusedError, match="robot_1 was given the order and has not answered"):
+        page.watch.command("pause", {})
+    assert page.connection.asked == [("/r1", "pause", "")]
+    page.connection.statuses = {}
     with pytest.raises(RefusedError, match="no robot of run 'monday' answers"):
         page.watch.command("pause", {})
     page.connection.answers = {"/r1": UnreachableError("the wire is cut")}
