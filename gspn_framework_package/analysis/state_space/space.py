@@ -14,9 +14,19 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
-from typing import TYPE_CHECKING, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import (
+    TYPE_CHECKING,
+    Dict,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+    Union,
+)
 
 import numpy as np
 
@@ -57,6 +67,9 @@ with it. What is larger is begun again."""
 _FEW_ROUNDS = 5_000
 """Largest number of rounds of that attempt with numpy (about a second): numpy is slow if the graph
 is deep and narrow."""
+
+_loaded: Set[int] = set()
+"""The numbers of words of a marking for which this process has loaded numba's machine code."""
 
 INVARIANT_EFFORT = 100_000
 """Largest number of steps of the search for invariants that serves to narrow the fields."""
@@ -379,7 +392,7 @@ def _run(
 ) -> Tuple[RawGraph, str]:
     if engine == "numpy" or (engine == "auto" and not numba_is_there()):
         return numpy_engine.explore(packed, limit, watch, room=room), "numpy"
-    if engine == "auto" and "%s.numba_engine" % __package__ not in sys.modules:
+    if engine == "auto" and packed.words not in _loaded:
         graph = numpy_engine.explore(
             packed, min(limit, _SMALL), watch, rounds=_FEW_ROUNDS, room=room
         )
@@ -392,4 +405,5 @@ def _run(
         raise UsageError(
             "the engine numba is not available: %s" % error, hint="install numba, or choose numpy"
         ) from None
+    _loaded.add(packed.words)
     return numba_engine.explore(packed, limit, watch, room=room), "numba"
