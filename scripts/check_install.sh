@@ -86,10 +86,13 @@ if . /etc/os-release && [ "${VERSION_CODENAME:-}" = bookworm ]; then
     cmp <(dpkg-deb -f "$deb" Version) <(echo "$(cd "$ROOT" && /usr/bin/python3 setup.py --version)-1") || die "another version"
 fi
 
-# The room from the installed files only. rostest looks for a test's program in the package, and tests are not
+# The room from the installed files only: what it offers a robot, and a team in it that is seen to drive. The rest of that
+# test would find here what it finds in the checkout. rostest looks for a test's program in the package, and tests are not
 # installed.
-install -m 755 "$ROOT/test/rostest/world/test_world_node.py" "$INSTALLED/lib/$PACKAGE/"
-installed "ROS_HOSTNAME=localhost rostest '$ROOT/test/rostest/world/world.test'" || die "the room does not run"
+sed 's/def test_[2-57]_/def left_out_/' "$ROOT/test/rostest/world/test_world_node.py" >"$INSTALLED/lib/$PACKAGE/test_world_node.py"
+chmod 755 "$INSTALLED/lib/$PACKAGE/test_world_node.py"
+installed "export ROS_HOSTNAME=localhost GSPN_PATIENCE=${GSPN_PATIENCE:-1}; rostest '$ROOT/test/rostest/world/world.test'" \
+    || die "the room does not run"
 
 # Without ROS, by pip: a wheel built from the files of a checkout, in an empty environment. There the first three commands
 # of each page for beginners are typed, as they stand.
@@ -101,7 +104,7 @@ log=$WORKSPACE/pip_install.log
 pip=("-m" pip --disable-pip-version-check)
 { /usr/bin/python3 -m venv "$EMPTY" && "$EMPTY/bin/python" "${pip[@]}" install -q "pip>=21.3" \
     && "$VENV/bin/python" "${pip[@]}" wheel -q --no-deps -w "$CHECKOUT/dist" "$CHECKOUT" \
-    && "$EMPTY/bin/python" "${pip[@]}" install -q --prefer-binary "$CHECKOUT"/dist/*.whl; } \
+    && "$EMPTY/bin/python" "${pip[@]}" install -q --no-compile --prefer-binary "$CHECKOUT"/dist/*.whl; } \
     >"$log" 2>&1 || { tail -n 20 "$log"; die "pip does not install the package"; }
 only_product "the wheel" < <("$EMPTY/bin/python" -m zipfile -l "$CHECKOUT"/dist/*.whl | awk '{ print $1 }')
 SITE=$(echo "$EMPTY"/lib/python3*/site-packages)

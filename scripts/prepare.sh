@@ -112,7 +112,8 @@ prepare_venv() {
     [ "$(cat "$VENV/prepared" 2>/dev/null)" = "$key" ] && return 0
     say "installing Python packages into .workspace/venv"
     [ -x "$VENV/bin/python" ] || /usr/bin/python3 -m venv --system-site-packages "$VENV" || die "cannot make $VENV"
-    local log=$WORKSPACE/pip.log pip=("$VENV/bin/python" -m pip install --disable-pip-version-check)
+    # Python compiles what is imported when it is, which is a small part of it
+    local log=$WORKSPACE/pip.log pip=("$VENV/bin/python" -m pip install --no-compile --disable-pip-version-check)
     # the pip of Ubuntu 20.04 does not search for compatible versions
     { timeout 300 "${pip[@]}" "pip>=21.3" && timeout 1200 "${pip[@]}" -c "$constraints" -r "$list"; } \
         </dev/null >"$log" 2>&1 || { tail -n 20 "$log" >&2; die "pip failed; all of its output: $log"; }
@@ -155,7 +156,8 @@ prepare_build() {
         # build on top of the installed ROS only, whatever else this shell has sourced
         unset CMAKE_PREFIX_PATH PYTHONPATH ROS_PACKAGE_PATH
         use_ros
-        PATH=$VENV/bin:$PATH timeout 900 \
+        # the package has Python only: no headers for programs in other languages
+        PATH=$VENV/bin:$PATH ROS_LANG_DISABLE=gencpp:geneus:genlisp:gennodejs timeout 900 \
             catkin_make -C "$CATKIN_WS" -DPYTHON_EXECUTABLE="$VENV/bin/python" </dev/null >"$log" 2>&1
     ) || { tail -n 30 "$log" >&2; die "catkin_make failed; all of its output: $log"; }
     echo "$key" >"$CATKIN_WS/built"

@@ -328,6 +328,8 @@ def test_the_workspace_on_debian_typed_in_a_terminal(tmp_path):
     typed = workspace_on_debian()
     assert len(typed) == 5
     environment = {"HOME": str(tmp_path), "PATH": "/usr/sbin:/usr/bin:/sbin:/bin"}
+    # scripts/make_deb builds the messages in all languages
+    environment["ROS_LANG_DISABLE"] = "gencpp:geneus:genlisp:gennodejs"
     with Terminal(ROOT, {**environment, "LC_ALL": "C.UTF-8"}) as terminal:
         for step in typed:
             code, text = terminal.type(step.line, patience=280)
