@@ -17,13 +17,11 @@ installed() {
 
 # same_files WHAT FROM TO FIND_OPTION...: checks that every file below FROM that the options select is identical in TO.
 same_files() {
-    local what=$1 from=$2 to=$3 name count=0
+    local what=$1 from=$2 to=$3 sums=$WORKSPACE/install.sums
     shift 3
-    while read -r name; do
-        cmp "$from/$name" "$to/$name" || die "not installed, or another: $what/$name"
-        count=$((count + 1))
-    done < <(cd "$from" && find . -type f -not -path '*/__pycache__/*' "$@")
-    echo "$what: $count files"
+    (cd "$from" && find . -type f -not -path '*/__pycache__/*' "$@" -exec sha256sum {} +) >"$sums"
+    (cd "$to" && sha256sum --quiet --check) <"$sums" || die "not installed, or another: files of $what"
+    echo "$what: $(wc -l <"$sums") files"
 }
 
 # only_product WHAT: checks that the file names on standard input are of no test and no experiment.
@@ -59,15 +57,14 @@ assert gspn.example(\"patrol\").check().accepted
 
 count=0
 for plan in "$SHARE"/plans/*/plan.json; do
-    here=$ROOT/${plan#"$SHARE/"}
-    (cd "$ROOT" && "$VENV/bin/python" -m "$PACKAGE" check "$here" >/dev/null 2>&1)
-    expected=$?
+    expected=0
+    [[ $plan != */fork_join/* ]] || expected=1  # it is for runs without ROS only, and the check says so
     installed "rosrun $PACKAGE gspn check '$plan' >/dev/null 2>&1"
     status=$?
     [ $status -eq $expected ] || die "gspn check: exit code $status, not $expected: $plan"
     count=$((count + 1))
 done
-echo "gspn check of $count plans: as in the checkout"
+echo "gspn check of $count plans"
 
 # The Debian package holds the same files (where it can be built: Debian 12).
 if . /etc/os-release && [ "${VERSION_CODENAME:-}" = bookworm ]; then
