@@ -57,6 +57,7 @@ def assert_as_in_memory(net, direct, memory=MEMORY):
     assert_answers_of(analysis, found)
 
 
+@pytest.mark.long
 @settings(derandomize=True, deadline=None, max_examples=100)
 @given(net=bounded_nets(), direct=st.sampled_from([0, 2000]))
 def test_with_little_memory_the_steady_state_is_that_in_memory(net, direct):
@@ -131,6 +132,7 @@ def test_rows_too_long_for_the_memory_are_collected_in_pieces(monkeypatch):
     assert_as_in_memory(choosing(), 0)
 
 
+@pytest.mark.long
 def test_without_numba_the_steady_state_is_the_same(monkeypatch):
     monkeypatch.setattr(linear, "_compiled_sweep", lambda: None)
     assert_as_in_memory(FAMILIES["kanban"](1), 0)

@@ -559,6 +559,7 @@ def test_the_verb_writes_a_plan_with_what_it_learned(recorded, capsys) -> None:
     assert main(["check", str(out)]) == 0
 
 
+@pytest.mark.long
 def test_the_verb_says_how_much_more_log_it_needs(recorded, capsys) -> None:
     words = ["fit", str(recorded), str(recorded / "log.jsonl"), "-o", str(recorded / "needs.json")]
     assert main([*words, "--within", "100"]) == 0

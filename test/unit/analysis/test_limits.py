@@ -140,6 +140,7 @@ def test_large_nets_have_fewer_states_unless_one_asks():
     assert Analysis(ring(20_000), limit=5).limits.states == 5
 
 
+@pytest.mark.long
 def test_a_large_net_is_answered():
     data = report(Analysis(ring(4_000)), Questions(at=(1.0,), mean_time_to=("p20 == 1",)))
     assert data["undecided"] == {}
@@ -151,6 +152,7 @@ def test_a_large_net_is_answered():
     assert data["mean_time_to"][0]["mean_time"] == pytest.approx(20)
 
 
+@pytest.mark.long
 def test_servers_and_counts_of_a_large_net():
     builder = NetBuilder("wide").place("crew", tokens=3)
     for i in range(1_000):

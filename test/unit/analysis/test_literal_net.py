@@ -49,7 +49,7 @@ def literal_of(plan, timing="run"):
     ("path", "timing"),
     [
         pytest.param(path, "run", marks=pytest.mark.long)
-        if path == "plans/inspection"
+        if path in ("plans/inspection", "plans/warehouse")
         else (path, "run")
         for path in GO_ON
     ]

@@ -23,6 +23,8 @@ from gspn_framework_package.model.event import EventSource, Tasks
 from gspn_framework_package.model.failure import FailureRule
 from gspn_framework_package.model.plan import Plan, RobotSpec
 
+pytestmark = pytest.mark.long
+
 ACT = FunctionAction("actions.work", "work")
 
 

@@ -105,6 +105,7 @@ def test_what_would_take_long_is_left_to_graphviz():
 spots = st.sampled_from([0.0, 1.0, 15.0, 40.0, 250.5])
 
 
+@pytest.mark.long
 @settings(max_examples=60, deadline=None)
 @given(
     at=st.lists(st.tuples(spots, spots), min_size=2, max_size=6),

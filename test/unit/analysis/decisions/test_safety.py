@@ -26,6 +26,7 @@ def test_the_safe_markings_of_the_patrol():
     assert decisions.safety.safe.sum() == 3199
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("reading", [NET, RUN])
 def test_whatever_is_allowed_stays_safe(reading):
     plan = read_plan("plans/patrol/plan.json")
