@@ -56,6 +56,9 @@ from gspn_framework_package.model.plan import Synchronisation
 CHUNK = 400
 """How many traces TLC plays in one run."""
 
+ITEM = re.compile(r"\[entry [^]]*\]")
+"""An item of a batch in the text of a step."""
+
 Trace = List[str]
 """The steps, as TLA+ records."""
 
@@ -161,7 +164,8 @@ class Notes:
         """The number of a log of a robot, of which this is the id, or its beginning."""
         logs = self.logs[robot]
         for number, known in enumerate(logs, 1):
-            if known.startswith(id_):
+            if known.startswith(id_) or id_.startswith(known):  # one may be the beginning
+                logs[number - 1] = max(known, id_, key=len)
                 return number
         if logs:
             self.ended = True  # of a log that it lost before anybody heard of it
@@ -398,6 +402,13 @@ BEYOND = ("reset", "outage", "forced", "snapshot")
 """The records with which something begins that traces of logs do not know."""
 
 
+def _entries(record: Dict[str, Any]) -> List[log_entries.Entry]:
+    """Those of a batch that was accepted, or of a slot; who decides alone writes only the slot."""
+    if record["kind"] == "slot":
+        return [log_entries.from_json(entry) for entry in record["entries"]]
+    return [item.entry for item in Batch.from_json(record["batch"]).items]
+
+
 def traced_logs(logs: Sequence[EventLog], steps: int = 300) -> Tuple[Trace, int, bool]:
     """The first steps of a real run, the number of its robots, and whether it is one of partial
     synchronisation: then it is not known who answered without a vote, or when robots held still. A trace ends where a member
@@ -422,8 +433,7 @@ def traced_logs(logs: Sequence[EventLog], steps: int = 300) -> Tuple[Trace, int,
     frozen = {
         Ballot.from_json(r["ballot"])
         for _, _, r in records
-        if r["kind"] == "accepted"
-        and any(is_control(item.entry) for item in Batch.from_json(r["batch"]).items)
+        if r["kind"] in ("accepted", "slot") and any(map(is_control, _entries(r)))
     }
     for _, robot, record in sorted(records, key=lambda found: found[0]):
         kind = record["kind"]
@@ -469,10 +479,7 @@ def check(
         folder = Path(scratch)
         for name in ("agreement.tla", "trace.tla"):
             (folder / name).write_text((FOLDER / name).read_text("utf-8"), "utf-8")
-        told = ",\n".join("<<\n%s\n>>" % ",\n".join(steps) for steps in traces)
-        (folder / "traces.tla").write_text(
-            "---- MODULE traces ----\nTraces == <<\n%s\n>>\n====\n" % told, "utf-8"
-        )
+        (folder / "traces.tla").write_text(_module(traces), "utf-8")
         (folder / "traces.cfg").write_text(_configuration(robots, partial, holds), "utf-8")
         done = subprocess.run(
             [
@@ -509,6 +516,23 @@ def check(
             differs = (found.group(1), " ".join(found.group(2).split())) if found else ()
             refused.append(Refused(number, step + 1, steps[step], differs))
     return refused
+
+
+def _module(traces: Sequence[Trace]) -> str:
+    """The module ``traces``. Each item and step is a definition, so that TLC reads it once: most of
+    its time went into reading, and the same item is in many steps."""
+    definitions: Dict[str, str] = {}
+
+    def name(text: str) -> str:
+        return definitions.setdefault(text, "d%d" % len(definitions))
+
+    names = []
+    for steps in traces:
+        shared = [ITEM.sub(lambda item: name(item.group()), step) for step in steps]
+        names.append("<<%s>>" % ", ".join(map(name, shared)))
+    lines = ["%s == %s" % (as_, text) for text, as_ in definitions.items()]
+    told = "Traces == <<\n%s\n>>" % ",\n".join(names)
+    return "\n".join(["---- MODULE traces ----", *lines, told, "====", ""])
 
 
 def _configuration(robots: int, partial: bool, holds: bool) -> str:

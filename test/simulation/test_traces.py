@@ -118,3 +118,10 @@ def test_logs_of_a_team_with_a_witness_are_left_out_with_the_reason() -> None:
     plan = make_plan(0, 2, True, 0.0, 0.0, True)
     with pytest.raises(LogError, match="only a team without a witness"):
         traces.traced_logs([EventLog("", {"robot": "r"}, [], plan=plan)])
+
+
+@pytest.mark.parametrize("ids", [("aa19c159", "aa19c1590d4e"), ("aa19c1590d4e", "aa19c159")])
+def test_an_entry_has_only_the_beginning_of_the_id_of_a_log(ids):
+    notes = traces.Notes(["r1"], ())
+    assert [notes.log("r1", id_) for id_ in ids] == [1, 1] and not notes.ended
+    assert notes.log("r1", "bb") == 2
