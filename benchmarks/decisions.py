@@ -24,9 +24,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any, Dict, List, NamedTuple, Optional, Sequence
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Dict, List, NamedTuple, Optional, Sequence
 
 from benchmarks.decision_nets import delivery, rendezvous, rooms
 from benchmarks.harness.processes import peak_mb
@@ -37,19 +35,13 @@ from benchmarks.machine import (
     machine_line,
     table,
 )
-from gspn_framework_package.analysis.arrays import Booleans
-from gspn_framework_package.analysis.decisions.aims import AIM_WIDTH, Aim, Objective
-from gspn_framework_package.analysis.decisions.automaton import CHANCE, Automaton, Rewards
-from gspn_framework_package.analysis.decisions.problem import DecisionProblem
-from gspn_framework_package.analysis.decisions.solving import optimum
-from gspn_framework_package.analysis.state_space import explore
-from gspn_framework_package.analysis.state_space.rated_graph import firing_rate
-from gspn_framework_package.analysis.state_space.space import StateSpace
-from gspn_framework_package.formats.example_plans import plans_folder
-from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.net import Net
 
-PATROL = Path(plans_folder(), "patrol", "plan.json")
+# the rest is imported where it is used: a process of Storm's does not pay for it
+if TYPE_CHECKING:
+    from gspn_framework_package.analysis.arrays import Booleans
+    from gspn_framework_package.analysis.decisions.automaton import Automaton, Rewards
+    from gspn_framework_package.analysis.state_space.space import StateSpace
 
 
 class Case(NamedTuple):
@@ -173,6 +165,11 @@ def condition_of(case: Case, net: Net) -> str:
 def automaton_of(space: StateSpace) -> Automaton:
     """The decision problem of a net: whoever decides chooses among the immediate transitions of
     weight 0, and chance among those with a weight."""
+    import numpy as np
+
+    from gspn_framework_package.analysis.decisions.automaton import CHANCE, Automaton
+    from gspn_framework_package.analysis.state_space.rated_graph import firing_rate
+
     transitions, of = space.net.transitions, space.transitions
     weights = np.array([0.0 if t.timed else float(t.weight) for t in transitions])
     vanishing, sources = space.is_vanishing, space.sources
@@ -220,7 +217,12 @@ class WaitingPatrol(NamedTuple):
 
 
 def _patrol() -> WaitingPatrol:
-    plan = read_plan(str(PATROL))
+    from gspn_framework_package.analysis.decisions.aims import Objective
+    from gspn_framework_package.analysis.decisions.problem import DecisionProblem
+    from gspn_framework_package.formats.example_plans import plans_folder
+    from gspn_framework_package.formats.plan_file import read_plan
+
+    plan = read_plan(str(Path(plans_folder(), "patrol", "plan.json")))
     names = [p.name for p in plan.net.places]
     never = ['"%s" + "%s" > 1' % (names[i], names[i + 1]) for i in range(0, 16, 4)]
     waiting = [name for name in names if "Decide" in name]
@@ -284,6 +286,8 @@ def _work(engine: str, case: Case, whole: bool) -> Measurement:
     if engine != "ours":
         return _storm(case, engine == "storm")
     if not whole:
+        from gspn_framework_package.analysis.state_space import explore
+
         _ours(Case("grid", 1, 4), "numba")  # loads all code
         _ours(Case("grid", 1, 4, True), "numba")
         if case.kind != "patrol":
@@ -292,8 +296,10 @@ def _work(engine: str, case: Case, whole: bool) -> Measurement:
 
 
 def _ours(case: Case, engine: str) -> Measurement:
-    if engine == "numba":
-        import numba  # noqa: F401  # large automata are solved by compiled loops: load them
+    from gspn_framework_package.analysis.decisions.aims import AIM_WIDTH, Aim
+    from gspn_framework_package.analysis.decisions.automaton import Rewards
+    from gspn_framework_package.analysis.decisions.solving import optimum
+    from gspn_framework_package.analysis.state_space import explore
 
     start = time.perf_counter()
     goal: Optional[Booleans] = None
@@ -306,7 +312,7 @@ def _ours(case: Case, engine: str) -> Measurement:
         space = explore(net, engine=engine, limit=10**8)
         holds = space.holds(condition_of(case, net).replace("&", "and").replace("|", "or"))
         automaton = automaton_of(space)
-        rewards = Rewards(holds.astype(float), np.zeros(space.arcs))
+        rewards = Rewards(holds.astype(float), 0.0 * space.targets)
         goal = holds if case.time_to else None
     built = time.perf_counter()
     solved = optimum(

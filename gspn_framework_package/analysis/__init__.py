@@ -19,7 +19,7 @@ Behind it, each folder builds on those before it:
 - ``preflight``: the check of a plan before any robot moves.
 
 All of them share ``limits`` (of a search), ``watch`` (progress, cancellation), ``graph``
-(graph algorithms) and ``compiling`` (numba).
+(graph algorithms), ``compiling`` (numba) and ``machine_code`` (its results, kept).
 
 Also here: ``arrays``, ``decisions``, ``executors``, ``fitting``, ``monitoring``, ``on_disk``,
 ``quantiles``, ``sweeps``, ``symmetry``.

@@ -78,6 +78,7 @@ ROSDEP_KEYS = {
     "gazebo_msgs": "",  # Debian has none
     "imageio_ffmpeg": "",
     "jsonschema": "python3-jsonschema",
+    "llvmlite": "",
     "lxml": "python3-lxml",
     "matplotlib": "python3-matplotlib",
     "distributed": "",

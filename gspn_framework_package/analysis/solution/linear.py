@@ -8,7 +8,6 @@ term, so it says little about much smaller unknowns; :func:`polished` improves t
 
 from __future__ import annotations
 
-import sys
 import warnings
 from typing import Callable, NamedTuple, Optional, Tuple
 
@@ -57,9 +56,8 @@ small."""
 _ROUNDING = 1e-14
 """Imbalance, relative to the largest term, that rounding alone may cause."""
 
-_WORTH_LOADING = 1_000_000
-"""Matrix entries above which compiled sweeps save more than the half second it takes to load
-numba."""
+_WORTH_LOADING = 50_000
+"""Matrix entries above which compiled sweeps save more time than loading them takes."""
 
 _POLISHED, _POLISHING = 5, 20
 """Number of sweeps between two computations of the relative changes of all unknowns, and largest
@@ -389,7 +387,7 @@ def sweeper(
     """One Gauss-Seidel sweep, as a function of the values; it may change them in place.
 
     It reads ``constant`` in each call, so the caller may change it."""
-    worth = matrix.nnz >= _WORTH_LOADING or "numba" in sys.modules
+    worth = matrix.nnz >= _WORTH_LOADING
     sweep = _compiled_sweep() if worth else None
     if sweep is None:
         return _scipy_sweeper(matrix, diagonal, constant, backward)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from gspn_framework_package.analysis.arrays import Floats, Indices
-from gspn_framework_package.analysis.compiling import compiled
+from gspn_framework_package.analysis.machine_code import KeptCode
 
 
-@compiled
+@KeptCode
 def gauss_seidel_sweep(
     offsets: Indices,
     columns: Indices,

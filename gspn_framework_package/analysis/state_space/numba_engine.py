@@ -10,19 +10,19 @@ Within a share, the engine computes the successors of a block of states and touc
 the table, so that many memory accesses are in flight at once; only then does it look them up. The
 speed of a core comes from this order, not from the arithmetic.
 
-The number of cores is numba's own setting, the environment variable ``NUMBA_NUM_THREADS``.
+The number of cores is that of the machine, or the environment variable ``NUMBA_NUM_THREADS``.
 """
 
 from __future__ import annotations
 
+import os
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import Any, List, NamedTuple, Tuple
 
 import numpy as np
 
 from gspn_framework_package.analysis.arrays import Indices, Words
-from gspn_framework_package.analysis.compiling import compiled
+from gspn_framework_package.analysis.machine_code import KeptCode
 from gspn_framework_package.analysis.state_space.exploration import (
     ENDLESS,
     Allowance,
@@ -47,6 +47,9 @@ _LOW = np.uint64(0xFFFFFFFF)
 
 _BLOCK = 32
 """Number of states, or of pending entries, whose memory accesses are in flight together."""
+
+_LINE = 16
+"""Number of words that no two cores write at the same time, at least a cache line."""
 
 _SHARE = 8192
 """Largest number of states of a round that one core expands; a smaller round uses a single core."""
@@ -74,10 +77,9 @@ def explore(
     :param cores: number of cores; 0: as many as numba may use, at most 8.
     :param room: the exploration ends when it is used up.
     """
-    from numba import config  # only now: compiling has its say on numba's output before
-
     transitions = len(packed.order)
-    cores = cores or min(int(vars(config)["NUMBA_NUM_THREADS"]), _CORES)
+    cores = cores or int(os.environ.get("NUMBA_NUM_THREADS") or len(os.sched_getaffinity(0)))
+    cores = min(cores, _CORES)
     share = max(_BLOCK, min(_SHARE, _SHARE_ARCS // max(transitions, 1)))
     narrow = min(_NARROW, share)
     states = Growing(np.uint64, packed.words)
@@ -89,9 +91,10 @@ def explore(
     table = np.zeros(1 << 12, dtype=np.uint64)
     width = (0,) * packed.words
     no_arcs = np.zeros(0, np.int64)
-    _enter(width, table, states.array, 0, packed.initial[None, :], no_arcs, targets.array)
     rules = _Rules(*(getattr(packed, name) for name in _Rules._fields))
     buffers = [_new_buffers(share, transitions, packed.words, targets, labels)]
+    hashes = buffers[0].hashes
+    _enter(width, table, states.array, 0, packed.initial[None, :], no_arcs, targets.array, hashes)
     explored = 0
     with ThreadPoolExecutor(max(cores - 1, 1), thread_name_prefix="explore") as others:
         while explored < states.used <= limit:
@@ -134,6 +137,7 @@ def explore(
                     buffer.keys[:misses],
                     buffer.arcs[:misses],
                     targets.array[base:],
+                    hashes,
                 )
             explored = end
             watch.step("states", states.used)
@@ -159,7 +163,7 @@ class _Rules(NamedTuple):
 class _Buffers(NamedTuple):
     """The results of one core for its share: targets (-1: unknown so far) and labels of the arcs,
     and the end of each state's arcs; for arcs with unknown targets, their numbers and the packed
-    markings they lead to."""
+    markings they lead to. ``batch``, ``hashes`` and ``hit`` are for the work on a block."""
 
     targets: Indices
     labels: Indices
@@ -167,6 +171,9 @@ class _Buffers(NamedTuple):
     keys: Words
     arcs: Indices
     overflow: Words
+    batch: Words
+    hashes: Words
+    hit: Words
 
 
 def _new_buffers(
@@ -180,6 +187,10 @@ def _new_buffers(
         np.empty((room, words), dtype=np.uint64),
         np.empty(room, dtype=np.int64),
         np.zeros(words, dtype=np.uint64),
+        np.empty((_BLOCK * transitions, words), dtype=np.uint64),
+        np.empty(_BLOCK * max(transitions, 1), dtype=np.uint64),
+        # far from another core's, which would slow both down in the same cache line
+        np.zeros(words + 2 * _LINE, dtype=np.uint64)[_LINE : _LINE + words],
     )
 
 
@@ -250,7 +261,7 @@ def _with_room(table: Words, states: int) -> Words:
     return table
 
 
-@compiled
+@KeptCode
 def _shift(table: Words) -> np.uint64:
     """The number of bits to shift a hash right to get its first slot."""
     shift = np.uint64(64)
@@ -261,7 +272,7 @@ def _shift(table: Words) -> np.uint64:
     return shift
 
 
-@compiled
+@KeptCode
 def _refill(table: Words, larger: Words) -> None:
     shift, mask = _shift(larger), np.uint64(len(larger) - 1)
     for i in range(len(table)):
@@ -273,7 +284,7 @@ def _refill(table: Words, larger: Words) -> None:
             larger[slot] = entry
 
 
-@compiled
+@KeptCode
 def _hash(keys: Words, row: int, words: int) -> np.uint64:
     value = keys[row, 0] * _MIX_1
     for w in range(1, words):
@@ -285,7 +296,7 @@ def _hash(keys: Words, row: int, words: int) -> np.uint64:
     return value
 
 
-@partial(compiled, allocates=False)
+@KeptCode
 def _find(
     width: _Width,
     table: Words,
@@ -316,7 +327,7 @@ def _find(
         slot = (slot + _ONE) & mask
 
 
-@compiled
+@KeptCode
 def _enter(
     width: _Width,
     table: Words,
@@ -325,15 +336,15 @@ def _enter(
     keys: Words,
     arcs: Indices,
     targets: Indices,
+    hashes: Words,
 ) -> np.integer[Any]:
     """Number the states ``keys`` that are not known yet, from ``known`` on, and store the targets
     of ``arcs``; returns the number of states then known. The keys are entered even if there are no
-    arcs."""
-    words = len(width)
+    arcs. A block is as long as ``hashes``, where it works."""
+    words, block = len(width), len(hashes)
     shift = _shift(table)
-    hashes = np.empty(_BLOCK, np.uint64)
-    for begin in range(0, len(keys), _BLOCK):
-        stop = min(begin + _BLOCK, len(keys))
+    for begin in range(0, len(keys), block):
+        stop = min(begin + block, len(keys))
         for i in range(begin, stop):
             hashes[i - begin] = _hash(keys, i, words)
         for i in range(begin, stop):
@@ -350,7 +361,7 @@ def _enter(
     return known
 
 
-@compiled
+@KeptCode
 def _expand(
     width: _Width,
     rules: _Rules,
@@ -367,19 +378,18 @@ def _expand(
     """
     words = len(width)
     need, need_guard, inhibit, inhibit_guard, change, class_ends, guard = rules
-    targets, labels, ends, keys, key_arcs, overflow = found
+    targets, labels, ends, keys, key_arcs, overflow, batch, hashes, hit = found
     begin, end = share
-    transitions = need.shape[0]
+    # what it writes fits, whatever _BLOCK was when this was compiled
+    block = len(hashes) // max(need.shape[0], 1)
     shift = _shift(table)
-    batch = np.empty((_BLOCK * transitions, words), np.uint64)
-    hashes = np.empty(_BLOCK * transitions, np.uint64)
-    # a local array, since the caller's may share a cache line with another core's
-    hit = np.zeros(words, np.uint64)
+    for w in range(words):
+        hit[w] = _ZERO
     touched = _ZERO
     arcs, misses = 0, 0
-    for here in range(begin, end, _BLOCK):
+    for here in range(begin, end, block):
         n = 0
-        for s in range(here, min(here + _BLOCK, end)):
+        for s in range(here, min(here + block, end)):
             first = 0
             for c in range(len(class_ends)):
                 before = n
@@ -410,7 +420,8 @@ def _expand(
             ends[s - begin] = arcs + n
         for w in range(words):
             if hit[w] != _ZERO:
-                overflow[:] = hit
+                for v in range(words):
+                    overflow[v] = hit[v]
                 return arcs, misses, touched
         for i in range(n):
             entry = table[hashes[i] >> shift]
@@ -428,7 +439,7 @@ def _expand(
     return arcs, misses, touched
 
 
-@compiled
+@KeptCode
 def _narrow(
     width: _Width,
     rules: _Rules,
@@ -453,14 +464,36 @@ def _narrow(
         if 2 * (known + new) > len(table) or arcs + new > len(found.targets):
             break
         targets, labels = found.targets[arcs:], found.labels[arcs:]
-        buffers = _Buffers(targets, labels, found.ends, found.keys, found.arcs, found.overflow)
+        buffers = _Buffers(
+            targets,
+            labels,
+            found.ends,
+            found.keys,
+            found.arcs,
+            found.overflow,
+            found.batch,
+            found.hashes,
+            found.hit,
+        )
         more, misses, _ = _expand(width, rules, states, table, (explored, known), buffers)
-        if found.overflow.any():
+        over = _ZERO
+        for w in range(len(width)):
+            over |= found.overflow[w]
+        if over != _ZERO:
             break
         for s in range(explored, known):
             offsets[s + 1] = arcs + found.ends[s - explored]
         known, explored = (
-            _enter(width, table, states, known, found.keys[:misses], found.arcs[:misses], targets),
+            _enter(
+                width,
+                table,
+                states,
+                known,
+                found.keys[:misses],
+                found.arcs[:misses],
+                targets,
+                found.hashes,
+            ),
             known,
         )
         arcs += more

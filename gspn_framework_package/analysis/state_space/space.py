@@ -60,12 +60,12 @@ _SPARSE = 1 << 15
 """If all transitions together need more machine words than this, markings are explored one at a
 time, as differences."""
 
-_SMALL = 600_000
+_SMALL = 60_000
 """Up to this many states, numpy takes no longer than loading numba's machine code and exploring
 with it. What is larger is begun again."""
 
-_FEW_ROUNDS = 5_000
-"""Largest number of rounds of that attempt with numpy (about a second): numpy is slow if the graph
+_FEW_ROUNDS = 300
+"""Largest number of rounds of that attempt with numpy (0.06 s): numpy is slow if the graph
 is deep and narrow."""
 
 _loaded: Set[int] = set()

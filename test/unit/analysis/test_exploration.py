@@ -2,6 +2,7 @@
 silent overflow."""
 
 import os
+import shutil
 import subprocess
 import sys
 
@@ -158,13 +159,30 @@ def test_cores_number_the_states_alike(net, cores):
     from gspn_framework_package.analysis.state_space import numba_engine
 
     packed = PackedNet(net, starting_widths(net, [8] * len(net.places)))
+    new_buffers, fenced = numba_engine._new_buffers, []
+
+    def between_fences(array):
+        around = np.full(array.size + 200, 7, dtype=array.dtype)
+        inside = around[100:-100].reshape(array.shape)
+        inside[...] = array
+        fenced.append(around)
+        return inside
+
     with pytest.MonkeyPatch.context() as patch:
         one = numba_engine.explore(packed, 10**6, Watch(), cores=1)
         patch.setattr(numba_engine, "_SHARE", 3)
         patch.setattr(numba_engine, "_BLOCK", 1)
+        patch.setattr(
+            numba_engine,
+            "_new_buffers",
+            lambda *args: numba_engine._Buffers(*map(between_fences, new_buffers(*args))),
+        )
         many = numba_engine.explore(packed, 10**6, Watch(), cores=cores)
     for mine, theirs in zip(one, many):
         assert np.array_equal(mine, theirs)
+    for around in fenced:
+        outside = np.concatenate([around[:100], around[-100:]])
+        assert np.all(outside == 7), "written outside of a buffer"
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -295,6 +313,53 @@ def test_compiles_where_no_machine_code_can_be_kept(monkeypatch):
     # as in a read-only install without a home
     monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
     assert compiled(lambda a: a + 1)(2) == 3
+
+
+@pytest.mark.skipif(not numba_is_there(), reason="numba is missing")
+def test_kept_machine_code_runs_without_numba_until_its_source_changes(tmp_path, monkeypatch):
+    program = (
+        "import sys\n"
+        "import numpy as np\n"
+        "from doubling import doubled\n"
+        "values = np.arange(3.0)\n"
+        "print(doubled((values, 1), True), values.tolist(), 'numba' in sys.modules)\n"
+    )
+    code = (
+        "from gspn_framework_package.analysis.machine_code import KeptCode\n"
+        "@KeptCode\n"
+        "def twice(x):\n    return 2 * x\n"
+        "@KeptCode\n"
+        "def doubled(work, yes):\n"
+        "    values, first = work\n"
+        "    for i in range(first, len(values)):\n        values[i] = twice(values[i])\n"
+        "    return len(values), first, yes\n"
+    )
+    source = tmp_path / "doubling.py"
+
+    def run(text):
+        source.write_text(text, encoding="utf-8")
+        path = os.pathsep.join([str(tmp_path), *sys.path])
+        environment = {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"}
+        return subprocess.run(
+            [sys.executable, "-c", program],
+            check=True,
+            timeout=300 * PATIENCE,
+            env=environment,
+            stdout=subprocess.PIPE,
+        ).stdout.decode()
+
+    assert run(code) == "(3, 1, 1) [0.0, 2.0, 4.0] True\n"
+    assert run(code) == "(3, 1, 1) [0.0, 2.0, 4.0] False\n"
+    (kept,) = tmp_path.glob("__pycache__/*.o")
+    kept.write_bytes(kept.read_bytes()[:-1])
+    assert run(code) == "(3, 1, 1) [0.0, 2.0, 4.0] True\n", "a damaged file is not run"
+    other = code.replace("2 * x", "3 * x")
+    assert run(other) == "(3, 1, 1) [0.0, 3.0, 6.0] True\n"
+    # as in a read-only installation without a home
+    shutil.rmtree(str(kept.parent))
+    kept.parent.write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(kept.parent))
+    assert run(other) == "(3, 1, 1) [0.0, 3.0, 6.0] True\n"
 
 
 def test_numba_is_not_loaded_for_what_numpy_does_sooner():

@@ -12,7 +12,6 @@ Known values (goals, other components) are part of the constants.
 from __future__ import annotations
 
 import copy
-import sys
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, List, NamedTuple, Optional, Tuple
@@ -82,8 +81,7 @@ class Model:
     @cached_property
     def compiled(self) -> Any:
         """The compiled loops, or None."""
-        few = len(self.values) < _WORTH_LOADING and "numba" not in sys.modules
-        if few or not numba_is_there():
+        if len(self.values) < _WORTH_LOADING or not numba_is_there():
             return None
         from gspn_framework_package.analysis.decisions.solving import numba_sweeps
 

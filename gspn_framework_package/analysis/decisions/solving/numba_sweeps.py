@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
-from gspn_framework_package.analysis.compiling import compiled
+from gspn_framework_package.analysis.machine_code import KeptCode
 
 
-@compiled
+@KeptCode
 def sweep(
     tangible: Booleans,
     rows: Indices,
@@ -40,7 +40,7 @@ def sweep(
         values[state] = best
 
 
-@compiled
+@KeptCode
 def backed_up(
     arcs: Indices,
     targets: Indices,
@@ -57,7 +57,7 @@ def backed_up(
         result[row] = total
 
 
-@compiled
+@KeptCode
 def settle(
     order: Indices,
     blocks: Indices,
