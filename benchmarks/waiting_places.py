@@ -2,13 +2,13 @@
 
 Two robots fetch orders from both ends of a warehouse and bring them to the counter in the middle,
 where idle robots wait. In the morning most orders are for the north end, in the evening for the
-south end. The net counts the hours, so that each has its own rates of orders, which ``gspn fit``
-learns from recorded days; ``gspn optimise`` may send idle robots to either end. All policies then
-go through other days in virtual time, of which none of them knows anything. One of them is the best
-for the same days with one rate for the whole day: what the ends alone are worth.
+south end. Of that the plan knows nothing. ``gspn fit`` finds in recorded days when orders come, and
+gives the plan a clock; ``gspn optimise`` may send idle robots to either end. All policies then go
+through other days in virtual time. One of them is the best for the same days with one rate for the
+whole day: what the ends alone are worth.
 
-An hour of the net takes an exponential time: no policy knows when the next one begins. Orders wait
-until they are picked up.
+A period of the plan takes an exponential time, so no policy knows when the next one begins; those
+of the days take whole hours. Orders wait until they are picked up.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ import os
 import sys
 import tempfile
 from dataclasses import replace
-from typing import Dict, List, NamedTuple
+from typing import List, NamedTuple
 
 import numpy as np
 
 from benchmarks.machine import machine_line, table
-from benchmarks.replayed import record
 from gspn_framework_package.analysis.decisions.aims import Objective, Request
 from gspn_framework_package.analysis.decisions.optimise import optimise
-from gspn_framework_package.analysis.fitting import fit_plan
+from gspn_framework_package.analysis.fitting import fit_plan, with_day
 from gspn_framework_package.analysis.monitoring.differences import Ratio, difference
 from gspn_framework_package.cli import numbers
+from gspn_framework_package.execution.log_entries import Fire
 from gspn_framework_package.execution.logged_attempts import gather
 from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.model.action import FunctionAction
@@ -66,25 +66,12 @@ ENDS = ("north", "south")
 def warehouse() -> Plan:
     """The plan as it is shipped: idle robots wait at the counter."""
     net = NetBuilder("waiting_places").place("Counter", tokens=2)
-    for hour in range(len(NORTH)):
-        net.place("hour_%d" % hour, tokens=int(hour == 0))
-    for hour in range(len(NORTH)):
-        following = "hour_%d" % ((hour + 1) % len(NORTH))
-        net.exponential("after_%d" % hour, 1 / HOUR, inputs="hour_%d" % hour, outputs=following)
     for end in ENDS:
         net.place(end).place("Wait_" + end)
         for name in SECONDS:
             net.place(name % end)
-    for end, other, rates in zip(ENDS, reversed(ENDS), (NORTH, SOUTH)):
-        for hour, rate in enumerate(rates):
-            now = "hour_%d" % hour
-            net.exponential(
-                "%s_%d" % (end, hour),
-                rate / HOUR,
-                inputs=now,
-                outputs=[now, end],
-                inhibitors={end: ROOM},
-            )
+    for end, other in zip(ENDS, reversed(ENDS)):
+        net.exponential("order_" + end, 5 / HOUR, outputs=end, inhibitors={end: ROOM})
         net.immediate("fetch_" + end, inputs=["Counter", end], outputs="Fetch_" + end)
         net.immediate("wait_" + end, inputs="Counter", outputs="To_" + end)
         net.immediate("near_" + end, inputs=["Wait_" + end, end], outputs="Near_" + end)
@@ -107,7 +94,7 @@ def warehouse() -> Plan:
             **{"Wait_" + end: None for end in ENDS},
             **{place: FunctionAction("actions.act", place) for place in acts},
         },
-        resource_places=frozenset([*ENDS, *("hour_%d" % hour for hour in range(len(NORTH)))]),
+        resource_places=frozenset(ENDS),
         robots=tuple(RobotSpec("robot_%d" % k, "Counter") for k in (1, 2)),
         durations={place: Duration.gamma(10.0, seconds) for place, seconds in acts.items()},
         policy=Policy.from_table(ENDS, shipped),
@@ -122,31 +109,56 @@ class Day(NamedTuple):
     picked: int
 
 
-def day(plan: Plan, seed: int) -> Day:
-    """A day in virtual time."""
-    found = VirtualRun(plan, seed=seed, agents=True).run(time=DAY)
+class TrueDay(VirtualRun):
+    """A run through a day as it is, whatever rates the plan has. If the plan has a clock, the hours
+    set it: of the transitions of an order, or of the end of a period, one is enabled."""
+
+    def begin(self, warmup: float = 0.0) -> None:
+        """Start the run, with all orders of the day to come."""
+        super().begin(warmup)
+        draw = np.random.default_rng(self.plan.seed)
+        for hour in range(len(NORTH)):
+            self._fire(hour * HOUR, "after_", "_%d" % hour)
+            for end, rates in zip(ENDS, (NORTH, SOUTH)):
+                for when in draw.uniform(0.0, HOUR, draw.poisson(rates[hour])):
+                    self._fire(hour * HOUR + when, "order_" + end)
+
+    def _fire(self, when: float, begins: str, ends: str = "") -> None:
+        for name in self.plan.net.transition_index:
+            if name.startswith(begins) and name.endswith(ends):
+                self._at(when, Fire(name))
+
+
+def day(plan: Plan, seed: int, log: str = "") -> Day:
+    """A day in virtual time, recorded in the file ``log``."""
+    run = TrueDay(plan, seed=seed, environment=False)
+    record = run.record_in(log, "day %d" % seed, "log %d" % seed) if log else None
+    found = run.run(time=DAY)
+    if record is not None:
+        record.close()
     tokens = sum(found.mean_tokens[name % end] for name in WAITING for end in ENDS)
     picked = sum(n for name, n in found.firings.items() if name.startswith("picked_"))
     return Day(tokens * found.seconds, picked)
 
 
-def learned(plan: Plan, days: int, folder: str) -> Plan:
-    """The plan with the rates of ``days`` recorded days, which nobody knew."""
-    orders = [t.name for t in plan.net.transitions if t.name.startswith(ENDS)]
-    blank = replace(plan, net=plan.net.with_rates(dict.fromkeys(orders, 5 / HOUR)))
-    logs = [record(plan, n, DAY, os.path.join(folder, "%d.jsonl" % n)) for n in range(days)]
+class Learned(NamedTuple):
+    """The plan with one rate for each end, the plan with a clock, and when its periods begin."""
+
+    steady: Plan
+    clock: Plan
+    periods: List[int]
+
+
+def learned(plan: Plan, days: int, folder: str) -> Learned:
+    """What ``days`` recorded days say."""
+    logs = [os.path.join(folder, "%d.jsonl" % n) for n in range(days)]
+    for number, log in enumerate(logs):
+        day(plan, number, log)
     found = gather(logs)
-    return fit_plan(blank, found.attempts, found.events, samples=0).apply(blank, logs)
-
-
-def steady(plan: Plan) -> Plan:
-    """The plan with one rate for the whole day, at each end."""
-    rates: Dict[str, float] = {}
-    for end in ENDS:
-        hours = [t for t in plan.net.transitions if t.name.startswith(end)]
-        mean = sum(t.number for t in hours) / len(hours)
-        rates.update({t.name: mean for t in hours})
-    return plan.with_rates(rates)
+    fit = fit_plan(plan, found.attempts, found.events, samples=0)
+    steady = fit.apply(plan, logs)
+    periods = [period.begins for period in fit.arrivals.day]
+    return Learned(steady, with_day(steady, fit.arrivals, logs), periods)
 
 
 def best(plan: Plan) -> Policy:
@@ -177,11 +189,12 @@ def main() -> int:
         fitted = learned(plan, args.learn, folder)
     shipped = waits(plan, plan.policy, args.days)
     rows: List[List[object]] = [["shipped", "%.1f" % (shipped.value or 0.0)]]
-    for name, policy in (("one rate", best(steady(fitted))), ("hours", best(fitted))):
-        found = difference(name, "s", shipped, waits(plan, policy, args.days))
+    for name, one in (("one rate", fitted.steady), ("a clock", fitted.clock)):
+        found = difference(name, "s", shipped, waits(one, best(one), args.days))
         assert found.old and found.new and found.low is not None and found.high is not None
         change = [100 * by / found.old for by in (found.new - found.old, found.low, found.high)]
         rows.append([name, "%.1f" % found.new, "%.1f %% (%.1f to %.1f)" % tuple(change)])
+    print("periods begin at %s h" % ", ".join(map(str, fitted.periods)))
     print(machine_line())
     print()
     print(table(["policy", "an order waits s", "change (95 %)"], [[*r, "-"][:3] for r in rows]))

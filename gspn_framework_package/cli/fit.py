@@ -5,10 +5,18 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from typing import Iterator, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.analysis.executors import Executor, open_executor
-from gspn_framework_package.analysis.fitting import FitReport, PlaceFit, family_choices, fit_plan
+from gspn_framework_package.analysis.fitting import (
+    ArrivalsFit,
+    FitReport,
+    OutcomeFit,
+    PlaceFit,
+    family_choices,
+    fit_plan,
+    with_day,
+)
 from gspn_framework_package.analysis.limits import DEFAULT_MEMORY
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli import numbers
@@ -20,6 +28,7 @@ from gspn_framework_package.execution.event_log import log_files
 from gspn_framework_package.execution.logged_attempts import gather
 from gspn_framework_package.execution.seen_firings import SeenFiring, attempts_between
 from gspn_framework_package.formats.plan_file import plan_document, read_plan
+from gspn_framework_package.formats.plan_json import plan_to_short_json
 from gspn_framework_package.model.attempt import Attempt, EventCount
 from gspn_framework_package.model.errors import CancelledError, LogError
 from gspn_framework_package.model.plan import Plan
@@ -78,6 +87,10 @@ _OUTPUT: Arguments = {
         "that needs (default %(default)g)"
     ),
     **ON_OPTION,
+    "--day": (
+        "where arrivals change over the day, give NEW_PLAN a clock, and each its own rate in each "
+        "period, for optimise and simulate"
+    ),
     "--force": "overwrite NEW_PLAN if it exists",
     "--json": "print the report as one JSON object",
 }
@@ -98,7 +111,11 @@ def run(args: argparse.Namespace) -> int:
         refuse_existing(path, "give the name of a new file, or --force")
     learned = learn(plan, args.logs, args.durations, args.seed, args.on)
     new = learned.report.apply(plan, learned.logs, args.per_robot)
-    data = plan_document(args.plan, new, os.path.dirname(os.path.abspath(path)))
+    if args.day and learned.report.arrivals.day:
+        new = with_day(new, learned.report.arrivals, learned.logs)
+        data = plan_to_short_json(new)  # with its own net
+    else:
+        data = plan_document(args.plan, new, os.path.dirname(os.path.abspath(path)))
     notes: List[str] = []
     try:
         notes = write_plan(new, data, args.output)
@@ -245,17 +262,44 @@ def fit_table(report: FitReport) -> List[str]:
             "%s: %d firings, %.4g/s (%.4g to %.4g)"
             % (name, event.seen, event.rate, *event.interval)
         )
-    return lines
+    return lines + list(_arrivals_text(report.arrivals))
+
+
+def _arrivals_text(found: ArrivalsFit) -> Iterator[str]:
+    for name, arrival in found.arrivals.items():
+        if arrival.p is None or arrival.shows is None:
+            few = "%s: %d arrivals are too few to test whether they change over the day"
+            yield few % (name, arrival.seen)
+        elif arrival.changes:
+            yield "%s changes over the day (p = %.2g)" % (name, arrival.p)
+        else:
+            yield (
+                "%s: no change over the day is seen (p = %.2g, %d parts); one of %.0f %% would "
+                "show in four of five cases" % (name, arrival.p, arrival.parts, 100 * arrival.shows)
+            )
+        if len(found.arrivals) > 1:
+            yield from _share_lines("arrivals", {name: arrival.share})
+        for key, shares in arrival.data.items():
+            yield from _share_lines("%s, %s" % (name, key), shares)
+    for period in found.day:
+        for name, rate in period.rates.items():
+            low, mean, high = (3600 * value for value in sorted((rate.rate, *rate.interval)))
+            hourly = "%.3g an hour (%.3g to %.3g)" % (mean, low, high)
+            when = "from %d to %d h (UTC)" % period.span
+            yield "%s %s: %d arrivals, %s" % (name, when, rate.seen, hourly)
 
 
 def _shares(label: str, found: PlaceFit, keys: Sequence[str]) -> Iterator[str]:
     shares = list(found.outcomes.items()) if "outcomes" in keys and len(found.outcomes) > 1 else []
     if found.failure is not None and "failures" in keys:
         shares.append(("failure", found.failure))
-    for name, share in shares:
+    yield from _share_lines(label, {name or "no transition named": share for name, share in shares})
+
+
+def _share_lines(label: str, shares: Mapping[Any, OutcomeFit]) -> Iterator[str]:
+    for name, share in shares.items():
         counted = share.seen, share.total, share.probability, *share.interval
-        what = label, name or "no transition named"
-        yield "%s: %s %d of %d: %.3g (%.3g to %.3g)" % (*what, *counted)
+        yield "%s: %s %d of %d: %.3g (%.3g to %.3g)" % (label, name, *counted)
 
 
 def needs_text(report: FitReport, within: float) -> List[str]:

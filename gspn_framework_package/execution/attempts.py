@@ -16,7 +16,8 @@ out.
 
 from __future__ import annotations
 
-from typing import Dict, List, NamedTuple, Optional, Set, Tuple, Union
+from collections import Counter
+from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import LogClock, Record
@@ -46,6 +47,32 @@ class _Going(NamedTuple):
     visit: int
     attempt: int
     start: Optional[float]
+
+
+class _Count:
+    """A growing :class:`.EventCount`."""
+
+    def __init__(self) -> None:
+        self.firings, self.exposure = 0, 0.0
+        self.hours: Dict[int, Tuple[int, float]] = {}
+        self.data: Dict[str, Counter[Union[str, int]]] = {}
+
+    def expose(self, seconds: float, by_hour: Sequence[Tuple[int, float]], times: int) -> None:
+        """Add a time in which it could occur, ``times`` times as often."""
+        self.exposure += times * seconds
+        for hour, part in by_hour:
+            firings, exposure = self.hours.get(hour, (0, 0.0))
+            self.hours[hour] = firings, exposure + times * part
+
+    def occur(self, hour: Optional[int], data: Mapping[str, Any]) -> None:
+        """Add an occurrence, which may be a task with data."""
+        self.firings += 1
+        if hour is not None:
+            firings, exposure = self.hours.get(hour, (0, 0.0))
+            self.hours[hour] = firings + 1, exposure
+        for name, value in data.items():
+            if isinstance(value, (str, int)):
+                self.data.setdefault(name, Counter())[value] += 1
 
 
 class AttemptFollower:
@@ -102,20 +129,20 @@ class AttemptFollower:
         """The transitions through which tasks arrive from outside."""
         self._came: Set[Tuple[object, ...]] = set()
         """The tasks and events that were counted."""
-        self._counted: Dict[int, Tuple[int, float]] = dict.fromkeys(
-            [
-                t
-                for t in (*self._game.environment_transitions, *self._interrupts)
-                if t not in self.plan.net.functions
-            ],
-            (0, 0.0),
-        )
+        self._counted = {
+            t: _Count()
+            for t in (*self._game.environment_transitions, *self._interrupts)
+            if t not in self.plan.net.functions
+        }
 
     @property
     def events(self) -> Dict[str, EventCount]:
         """The counts so far, by the name of a transition of the environment or of an event."""
         names = self.plan.net.transitions
-        return {names[t].name: EventCount(*counted) for t, counted in self._counted.items()}
+        return {
+            names[t].name: EventCount(count.firings, count.exposure, count.hours, count.data)
+            for t, count in self._counted.items()
+        }
 
     def _refuse_another_plan(self, record: Record) -> None:
         """:raises LogError: from this record on, the team follows another plan."""
@@ -380,17 +407,16 @@ class AttemptFollower:
         state = self._replayer.state
         if state.ended is not None or not state.robots:
             return
-        net = self.plan.net
-        for t, (firings, exposure) in self._counted.items():
+        net, by_hour = self.plan.net, list(self._clock.by_hour(seconds))
+        for t, count in self._counted.items():
             if t in self._interrupts or t in self._arrivals:
                 times = self._exposed(state, t) if t in self._interrupts else 1
-                self._counted[t] = firings, exposure + times * seconds
+            elif state.paused or net.transitions[t].number <= 0:
                 continue
-            if state.paused:
-                continue
-            if net.transitions[t].number > 0:
-                busy = net.busy_servers(state.marking, t)
-                self._counted[t] = firings, exposure + busy * seconds
+            else:
+                times = net.busy_servers(state.marking, t)
+            if times:
+                count.expose(seconds, by_hour, times)
 
     def _exposed(self, state: TeamState, t: int) -> int:
         """The number of robots for which the event of ``t`` can occur now."""
@@ -424,5 +450,5 @@ class AttemptFollower:
             return
         if key:
             self._came.add(key)
-        firings, exposure = self._counted[t]
-        self._counted[t] = firings + 1, exposure
+        task = entry.data if isinstance(entry, log_entries.Submit) else {}
+        self._counted[t].occur(self._clock.hour, task)

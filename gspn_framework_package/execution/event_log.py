@@ -500,6 +500,20 @@ class LogClock:
         self._host = host
         return self._t
 
+    def by_hour(self, seconds: float) -> Iterator[Tuple[int, float]]:
+        """The last ``seconds`` before the last record, cut where an hour ends, as pairs: hour of
+        the day (UTC), seconds. Nothing if the log does not say what time it was."""
+        end = self._wall
+        while end is not None and seconds > 0:
+            part = min(seconds, end % 3600 or 3600.0)
+            yield int((end - part / 2) // 3600 % 24), part
+            end, seconds = end - part, seconds - part
+
+    @property
+    def hour(self) -> Optional[int]:
+        """The hour of the day (UTC) of the last record, if it is known."""
+        return None if self._wall is None else int(self._wall // 3600 % 24)
+
     def to_json(self) -> List[Any]:
         """The arguments for a clock that continues from here."""
         return [self._t, self._mono, self._wall, self._host]

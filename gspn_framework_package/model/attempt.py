@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Dict, Iterable, Mapping, NamedTuple
+from collections import Counter
+from typing import Dict, Iterable, Mapping, NamedTuple, Tuple, Union
 
 
 class Attempt(NamedTuple):
@@ -40,10 +41,15 @@ class EventCount(NamedTuple):
     A task from outside arrives whether or not its transition is enabled. An event that interrupts
     occurs once per visit, for each robot in its place (also while the robot is done or waits); if
     it is not held, only while its transition is enabled.
+
+    :ivar hours: hour of the day (UTC) -> both, in that hour.
+    :ivar data: field of the data of tasks -> text or whole number in it -> number of tasks.
     """
 
     firings: int
     exposure: float
+    hours: Mapping[int, Tuple[int, float]] = {}
+    data: Mapping[str, Mapping[Union[str, int], int]] = {}
 
     @classmethod
     def summed(cls, counts: Iterable[Mapping[str, EventCount]]) -> Dict[str, EventCount]:
@@ -52,5 +58,12 @@ class EventCount(NamedTuple):
         for run in counts:
             for name, event in run.items():
                 known = found.get(name, cls(0, 0.0))
-                found[name] = cls(known.firings + event.firings, known.exposure + event.exposure)
+                hours, data = dict(known.hours), dict(known.data)
+                for hour, (firings, exposure) in event.hours.items():
+                    before = hours.get(hour, (0, 0.0))
+                    hours[hour] = before[0] + firings, before[1] + exposure
+                for key, values in event.data.items():
+                    data[key] = Counter(data.get(key, {})) + Counter(values)
+                both = known.firings + event.firings, known.exposure + event.exposure
+                found[name] = cls(*both, hours, data)
         return found

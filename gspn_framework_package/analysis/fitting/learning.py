@@ -22,15 +22,21 @@ from typing import (
 import numpy as np
 
 from gspn_framework_package.analysis.executors import Executor, LocalExecutor, WorkItem, Workload
+from gspn_framework_package.analysis.fitting.arrivals import ArrivalsFit, fit_arrivals
 from gspn_framework_package.analysis.fitting.durations import DurationFit, fit_duration
 from gspn_framework_package.analysis.fitting.needs import ENOUGH_ATTEMPTS, Need, find_needs
 from gspn_framework_package.analysis.fitting.sample import Sample
 from gspn_framework_package.analysis.fitting.testing import (
     SAMPLES,
+    SIGNIFICANT,
+    EventFit,
     FitTest,
+    OutcomeFit,
+    event_fit,
     groups_differ,
+    largest_clear,
+    outcome_fit,
     outcomes_depend,
-    rate_interval,
     shares_differ,
     test_of_fit,
     wilson,
@@ -61,28 +67,6 @@ WITHIN = 0.05
 
 _DIFFER = {key: "the robots' " + key for key in TIME_KEYS}
 """Key of the plan file -> the kind of test whether robots differ in it."""
-
-_SIGNIFICANT = 0.05
-"""The joint level of all tests of a kind that become notes. That robots differ is one kind."""
-
-
-class OutcomeFit(NamedTuple):
-    """An event seen ``seen`` times in ``total`` trials, the estimate of its ``probability``, and
-    the 95 % ``interval``."""
-
-    seen: int
-    total: int
-    probability: float
-    interval: Tuple[float, float]
-
-
-class EventFit(NamedTuple):
-    """The ``rate`` (1/s) of a transition of the environment or of an event, from the firings that
-    were ``seen``, with an ``interval`` of 95 %."""
-
-    seen: int
-    rate: float
-    interval: Tuple[float, float]
 
 
 class PlaceFit(NamedTuple):
@@ -117,19 +101,11 @@ class PlaceFit(NamedTuple):
             "distribution": fit.duration.kind.value if fit else None,
             "shape": fit.shape if fit else None,
             "test": {"statistic": test.statistic, "p": test.p} if test else None,
-            "outcomes": {name: _share(outcome) for name, outcome in self.outcomes.items()},
+            "outcomes": {name: share.to_json() for name, share in self.outcomes.items()},
         }
         if self.failure is not None:
-            data["failure"] = _share(self.failure)
+            data["failure"] = self.failure.to_json()
         return data
-
-
-def _share(outcome: OutcomeFit) -> Dict[str, Any]:
-    return {
-        "n": outcome.seen,
-        "probability": outcome.probability,
-        "interval": list(outcome.interval),
-    }
 
 
 class FitReport(NamedTuple):
@@ -143,6 +119,7 @@ class FitReport(NamedTuple):
     :ivar robot_seconds: how long robots were recorded, all together (s).
     :ivar own: robot -> key of the plan file -> place -> the results for that robot alone, where
         robots differ.
+    :ivar arrivals: what is learned of arrivals over the day.
     """
 
     places: Mapping[str, PlaceFit]
@@ -152,6 +129,7 @@ class FitReport(NamedTuple):
     rare: Mapping[str, int] = {}
     robot_seconds: float = 0.0
     own: Mapping[str, Mapping[str, Mapping[str, PlaceFit]]] = {}
+    arrivals: ArrivalsFit = ArrivalsFit()
 
     def needs(self, within: float = WITHIN) -> List[Need]:
         """What was not learned, or not exactly enough, and how much more log that needs.
@@ -159,17 +137,16 @@ class FitReport(NamedTuple):
         :param within: what half of a 95 % interval may be: as a share of a mean duration or a
             rate, or the difference of a probability.
         """
-        told = self.places, self.rates, self.unseen, self.rare, self.robot_seconds
+        told = self.places, self.rates, self.unseen, self.rare, self.arrivals, self.robot_seconds
         return list(find_needs(*told, within))
 
     def to_json(self, within: float = WITHIN) -> Dict[str, Any]:
         """The report as a JSON object; ``within`` as in :meth:`needs`."""
         data: Dict[str, Any] = {"places": {p: fit.to_json() for p, fit in self.places.items()}}
         if self.rates:
-            data["rates"] = {
-                t: {"n": e.seen, "rate": e.rate, "interval": list(e.interval)}
-                for t, e in self.rates.items()
-            }
+            data["rates"] = {t: event.to_json() for t, event in self.rates.items()}
+        if self.arrivals.arrivals:
+            data.update(self.arrivals.to_json())
         for robot, keys in self.own.items():
             own = data.setdefault("own", {})[robot] = {}
             for key, places in keys.items():
@@ -320,7 +297,9 @@ class _Learning:
         own = self._own(learned, self._report_doubts())
         rare = {name: event.firings for name, event in events.items() if name not in rates}
         recorded = sum(end - begin for begin, end in spans.values())
-        return FitReport(places, rates, tuple(self.notes), tuple(unseen), rare, recorded, own)
+        arrivals = fit_arrivals(self.plan.net, events)
+        notes = (*self.notes, *arrivals.notes)
+        return FitReport(places, rates, notes, tuple(unseen), rare, recorded, own, arrivals)
 
     def _own(
         self, learned: Mapping[str, _OfPlace], clear: float
@@ -347,7 +326,7 @@ class _Learning:
         found = self._place(place, attempts, generator)
         robots: Dict[str, PlaceFit] = {}
         differ = [p for kind in _DIFFER.values() for p, _ in self._doubts.get(kind, ())]
-        if min(differ, default=1.0) < _SIGNIFICANT:
+        if min(differ, default=1.0) < SIGNIFICANT:
             for robot in sorted({a.robot for a in attempts}):
                 alone = _Learning(self.plan, self.choice, self.seed, 0)
                 robots[robot] = alone._place(place, _of(attempts, robot), generator)
@@ -511,7 +490,7 @@ class _Learning:
             )
         n = len(done)
         return {
-            name: OutcomeFit(count, n, count / n, wilson(count, n))
+            name: outcome_fit(count, n)
             for name, count in ((name, len(durations.get(name, ()))) for name in names)
         }
 
@@ -532,7 +511,7 @@ class _Learning:
             )
         if ended < ENOUGH_ATTEMPTS or (not failed and not self.plan.failures.get(place)):
             return None
-        return OutcomeFit(failed, ended, failed / ended, wilson(failed, ended))
+        return outcome_fit(failed, ended)
 
     # -- the environment ---------------------------------------------------------------------------
 
@@ -540,10 +519,7 @@ class _Learning:
         found = {}
         for name, event in events.items():
             if event.firings >= ENOUGH_ATTEMPTS and event.exposure > 0:
-                rate = event.firings / event.exposure
-                found[name] = EventFit(
-                    event.firings, rate, rate_interval(event.firings, event.exposure)
-                )
+                found[name] = event_fit(event.firings, event.exposure)
             else:
                 self.notes.append(
                     "%s: %d firings are too few to learn its rate; it is kept"
@@ -560,23 +536,12 @@ class _Learning:
         """Note the significant doubts. Returns the largest p-value with which robots differ."""
         robots = [doubt for kind in _DIFFER.values() for doubt in self._doubts.pop(kind, ())]
         for doubts in (*self._doubts.values(), robots):
-            clear = _largest_clear([p for p, _ in doubts])
+            clear = largest_clear([p for p, _ in doubts])
             for p, text in doubts:
                 if p <= clear:
                     allowed = " (p = %.2g; %d such tests are allowed for)" % (p, len(doubts))
                     self.notes.append(text + allowed)
         return clear
-
-
-def _largest_clear(ps: Sequence[float]) -> float:
-    """The largest p-value that is significant among all of these; -1 if none is (S. Holm, *A Simple
-    Sequentially Rejective Multiple Test Procedure*, Scandinavian Journal of Statistics 6, 1979)."""
-    clear = -1.0
-    for rank, p in enumerate(sorted(ps)):
-        if p * (len(ps) - rank) >= _SIGNIFICANT:
-            break
-        clear = p
-    return clear
 
 
 def _sample(done: Iterable[Attempt], cut: Iterable[Attempt] = ()) -> Sample:

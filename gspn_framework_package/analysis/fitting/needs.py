@@ -17,7 +17,8 @@ ENOUGH_ATTEMPTS = 5
 class Need(NamedTuple):
     """Something that the logs do not say, or not exactly enough.
 
-    :ivar what: ``duration``, ``outcomes``, ``failure`` or ``rate``.
+    :ivar what: ``duration``, ``outcomes``, ``failure``, ``rate``, ``change over the day``, or
+        ``shares`` (of the values of a field).
     :ivar of: the place or transition.
     :ivar seen: observations in the logs.
     :ivar needed: about how many there should be.
@@ -53,7 +54,7 @@ class Need(NamedTuple):
         if self.half_width is None:
             known = "not learned, %d seen, at least %d are needed" % (self.seen, self.needed)
         else:
-            points = " points" if self.what in ("outcomes", "failure") else " %"
+            points = " points" if self.what in ("outcomes", "failure", "shares") else " %"
             known = "known to %.3g%s from %d; about %d are needed" % (
                 100 * self.half_width,
                 points,
@@ -76,6 +77,7 @@ def find_needs(
     rates: Mapping[str, Any],
     unseen: Tuple[str, ...],
     rare: Mapping[str, int],
+    arrivals: Any,
     robot_seconds: float,
     within: float,
 ) -> Iterator[Need]:
@@ -85,13 +87,15 @@ def find_needs(
     :param rates: transition -> its :class:`~.learning.EventFit`.
     :param unseen: action places without an attempt.
     :param rare: transition -> its firings, which are too few.
+    :param arrivals: the :class:`~.arrivals.ArrivalsFit`.
     :param robot_seconds: how long robots were recorded, all together (s).
     :param within: what half of a 95 % interval may be: as a share of a mean duration or a rate, or
         the difference of a probability.
     """
 
-    def need(what: str, of: str, seen: int, half: Optional[float]) -> Iterator[Need]:
-        needed = ENOUGH_ATTEMPTS
+    def need(
+        what: str, of: str, seen: int, half: Optional[float], needed: int = ENOUGH_ATTEMPTS
+    ) -> Iterator[Need]:
         if half is not None:
             if half <= within:
                 return
@@ -119,6 +123,17 @@ def find_needs(
         yield from need("rate", name, event.seen, (high - low) / 2 / event.rate)
     for name, seen in rare.items():
         yield from need("rate", name, seen, None)
+    for name, arrival in arrivals.arrivals.items():
+        if arrival.p is None:  # two parts of the day, and as many arrivals in each
+            yield from need("change over the day", name, arrival.seen, None, 2 * ENOUGH_ATTEMPTS)
+        for field, shares in arrival.data.items():
+            least = max(shares.values(), key=_half)
+            yield from need("shares", "%s of %s" % (field, name), least.total, _half(least))
+    for period in arrivals.day:
+        for name, event in period.rates.items():
+            low, high = event.interval
+            half = (high - low) / 2 / event.rate if event.seen else None
+            yield from need("rate", "%s from %d to %d h" % (name, *period.span), event.seen, half)
 
 
 def _half(share: Any) -> float:

@@ -12,7 +12,7 @@ from the unit exponential distribution: the residual of a time is its integrated
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -32,6 +32,9 @@ SAMPLES = 299
 
 _SLOW = 99
 """The same for hyper-Erlang distributions, which take long to fit."""
+
+SIGNIFICANT = 0.05
+"""The joint level of all tests of a kind that become notes. That robots differ is one kind."""
 
 LARGEST_SAMPLE = 3_000
 """Of a larger sample, this many times chosen at random are tested."""
@@ -116,6 +119,48 @@ def _draw(
     return Sample(times[ended], cut[~ended])
 
 
+# -- shares and rates ------------------------------------------------------------------------------
+
+
+class OutcomeFit(NamedTuple):
+    """An event seen ``seen`` times in ``total`` trials, the estimate of its ``probability``, and
+    the 95 % ``interval``."""
+
+    seen: int
+    total: int
+    probability: float
+    interval: Tuple[float, float]
+
+    def to_json(self) -> Dict[str, Any]:
+        """The share as a JSON object."""
+        interval = list(self.interval)
+        return {"n": self.seen, "probability": self.probability, "interval": interval}
+
+
+class EventFit(NamedTuple):
+    """The ``rate`` (1/s) of a transition of the environment or of an event, from the firings that
+    were ``seen``, with an ``interval`` of 95 %."""
+
+    seen: int
+    rate: float
+    interval: Tuple[float, float]
+
+    def to_json(self) -> Dict[str, Any]:
+        """The rate as a JSON object."""
+        return {"n": self.seen, "rate": self.rate, "interval": list(self.interval)}
+
+
+def outcome_fit(count: int, total: int) -> OutcomeFit:
+    """What ``count`` of ``total`` trials say about a probability."""
+    share = count / total if total else 0.0
+    return OutcomeFit(count, total, share, wilson(count, total))
+
+
+def event_fit(count: int, exposure: float) -> EventFit:
+    """What ``count`` events in the time ``exposure`` (s, above 0) say about their rate."""
+    return EventFit(count, count / exposure, rate_interval(count, exposure))
+
+
 # -- groups ----------------------------------------------------------------------------------------
 
 
@@ -165,6 +210,17 @@ def shares_differ(counts: Sequence[Sequence[int]]) -> float:
     ratio = np.log(np.where(table > 0, table, 1.0) / np.where(table > 0, expected, 1.0))
     freedom = (table.shape[0] - 1) * (table.shape[1] - 1)
     return quantiles.chi_squared_above(2 * float((table * ratio).sum()), freedom)
+
+
+def largest_clear(ps: Sequence[float]) -> float:
+    """The largest p-value that is significant among all of these; -1 if none is (S. Holm, *A Simple
+    Sequentially Rejective Multiple Test Procedure*, Scandinavian Journal of Statistics 6, 1979)."""
+    clear = -1.0
+    for rank, p in enumerate(sorted(ps)):
+        if p * (len(ps) - rank) >= SIGNIFICANT:
+            break
+        clear = p
+    return clear
 
 
 def wilson(count: int, total: int, confidence: float = CONFIDENCE) -> Tuple[float, float]:

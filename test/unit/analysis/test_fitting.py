@@ -41,6 +41,7 @@ from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.formats import write_net
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.model.action import FunctionAction
+from gspn_framework_package.model.attempt import EventCount
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration, Kind
 from gspn_framework_package.model.errors import UsageError
@@ -331,13 +332,6 @@ class Seen(NamedTuple):
     log: int = 0
 
 
-class Events(NamedTuple):
-    """What a log says of a transition of the environment."""
-
-    firings: int
-    exposure: float
-
-
 def small_plan(**fields: Any) -> Plan:
     net = NetBuilder("small").place("A", tokens=2).place("B").place("R")
     net.exponential("ab", inputs="A", outputs="B", rate=3.0)
@@ -365,7 +359,7 @@ def test_a_plan_learns_and_keeps_the_rest() -> None:
     seen += attempts(generator.gamma(30, 1 / 30, 20), result="aa")
     seen += attempts([0.4] * 10, failed="aborted") + attempts([0.9] * 3, completed=False)
     seen += attempts([2.0], failed="timeout") + attempts([1.0, 2.0], place="B")
-    report = fit_plan(plan, seen, {"made": Events(40, 20.0)})
+    report = fit_plan(plan, seen, {"made": EventCount(40, 20.0)})
     a, b = report.places["A"], report.places["B"]
     assert (a.n, a.censored, b.n, b.fit) == (100, 4, 2, None)
     assert {t: o.seen for t, o in a.outcomes.items()} == {"ab": 80, "aa": 20}
@@ -430,7 +424,9 @@ def test_it_says_how_much_more_log_is_needed_and_that_is_enough() -> None:
     def learned(n: int) -> Any:
         seen = attempts(rng.exponential(2.0, n), result="ab")
         few = attempts([1.0] * 3, place="B")
-        return fit_plan(plan, [*seen, *few], {"made": Events(2, 10.0)}, "exponential", samples=0)
+        return fit_plan(
+            plan, [*seen, *few], {"made": EventCount(2, 10.0)}, "exponential", samples=0
+        )
 
     report = learned(100)
     needs = {(need.what, need.of): need for need in report.needs(0.1)}

@@ -12,8 +12,7 @@ import pytest
 from scipy import stats
 
 from gspn_framework_package.analysis.fitting import fit_plan
-from gspn_framework_package.analysis.fitting.learning import _largest_clear
-from gspn_framework_package.analysis.fitting.testing import shares_differ
+from gspn_framework_package.analysis.fitting.testing import largest_clear, shares_differ
 from gspn_framework_package.analysis.monitoring.prediction import Parameters, draw_parameters
 from gspn_framework_package.analysis.simulation import simulate
 from gspn_framework_package.analysis.sweeps.variation import read_variation, varied
@@ -211,9 +210,9 @@ def test_robots_that_are_alike_seldom_get_their_own(tmp_path: Any) -> None:
 
 
 def test_the_smallest_p_values_are_clear_as_long_as_holm_rejects_them() -> None:
-    assert _largest_clear([0.03, 0.01, 0.02]) == 0.03  # 0.01 * 3, 0.02 * 2 and 0.03 * 1 are small
-    assert _largest_clear([0.03, 0.01, 0.026]) == 0.01
-    assert _largest_clear([0.02, 0.02, 0.02]) == _largest_clear([]) == -1.0
+    assert largest_clear([0.03, 0.01, 0.02]) == 0.03  # 0.01 * 3, 0.02 * 2 and 0.03 * 1 are small
+    assert largest_clear([0.03, 0.01, 0.026]) == 0.01
+    assert largest_clear([0.02, 0.02, 0.02]) == largest_clear([]) == -1.0
 
 
 def test_times_without_spread_are_told_apart(tmp_path: Any) -> None:

@@ -6,17 +6,15 @@ from typing import Any
 
 import pytest
 
-from benchmarks.waiting_places import HOUR, NORTH, best, learned, steady, waits, warehouse
+from benchmarks.waiting_places import HOUR, NORTH, best, learned, waits, warehouse
 
 
 @pytest.mark.long
 def test_robots_wait_where_the_recorded_days_had_orders(tmp_path: Any) -> None:
     plan = warehouse()
     fitted = learned(plan, 3, str(tmp_path))
-    busy = fitted.net.transition("north_2").number * HOUR
+    assert fitted.periods == [0, 2, 4, 6]
+    busy = fitted.clock.net.transition("order_north_2_4").number * HOUR
     assert busy == pytest.approx(NORTH[2], rel=0.35)
-    assert (
-        len({t.number for t in steady(fitted).net.transitions if t.name.startswith("north")}) == 1
-    )
-    shipped, new = waits(plan, plan.policy, 3), waits(plan, best(fitted), 3)
+    shipped, new = waits(plan, plan.policy, 3), waits(fitted.clock, best(fitted.clock), 3)
     assert shipped.value and new.value and new.value < 0.7 * shipped.value

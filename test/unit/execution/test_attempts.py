@@ -121,7 +121,7 @@ def test_the_environment_is_counted_while_it_can_fire(tmp_path) -> None:
     story.slot(15.0, log_entries.Resume())
     story.slot(16.0, log_entries.Stop())
     found = gather([story.save(tmp_path / "log.jsonl")])
-    assert found.events == {"made": EventCount(2, 4.0 + 1.0 + 1.0)}
+    assert found.events == {"made": EventCount(2, 4.0 + 1.0 + 1.0, {1: (2, 6.0)})}
 
 
 def interrupted(**event: Any) -> Plan:
@@ -161,9 +161,20 @@ def test_an_event_ends_an_attempt_without_a_result_and_is_counted(tmp_path) -> N
         ("a", "B", 2, 1, 5.0, 10.0, "censored"),
     ]
     assert found.events == {
-        "low": EventCount(1, 2 * 3.0 + 2.0),
-        "more": EventCount(3, 10.0),
+        "low": EventCount(1, 2 * 3.0 + 2.0, {1: (1, 8.0)}),
+        "more": EventCount(3, 10.0, {1: (3, 10.0)}),
     }
+
+
+def test_arrivals_are_counted_by_the_hour_and_by_what_they_bring(tmp_path) -> None:
+    story = Story(interrupted()).start()  # 800 s before the end of the hour from 1 to 2
+    story.slot(100.0, log_entries.Submit("more", "m1", {"kind": "a", "weight": 1.5, "at": [1, 2]}))
+    story.slot(900.0, log_entries.Submit("more", "m2", {"kind": "b"}))
+    story.slot(5000.0, log_entries.Submit("more", "m3", {"kind": "a"}))
+    story.slot(5000.0, log_entries.Stop())
+    more = gather([story.save(tmp_path / "log.jsonl")]).events["more"]
+    assert more.hours == {1: (1, 800.0), 2: (1, 3600.0), 3: (1, 600.0)}
+    assert more.data == {"kind": {"a": 2, "b": 1}}
 
 
 def test_an_event_that_is_held_comes_once_in_a_visit(tmp_path) -> None:
@@ -173,7 +184,7 @@ def test_an_event_that_is_held_comes_once_in_a_visit(tmp_path) -> None:
     story.slot(5.0, log_entries.Submit("more", "m1"))
     story.slot(6.0, log_entries.Stop())
     events = gather([story.save(tmp_path / "log.jsonl")]).events
-    assert events["low"] == EventCount(1, 2 * 1.0 + 5.0)
+    assert events["low"] == EventCount(1, 2 * 1.0 + 5.0, {1: (1, 7.0)})
 
 
 def test_a_result_that_leaves_the_choice_to_one_transition_is_none_of_several_with_events(
