@@ -49,6 +49,17 @@ def test_an_empty_drawing_says_how_to_begin_and_stays_quiet(empty, axe, picture)
     page.click("#ed-begin-template")
     page.wait_for_selector("dialog[open] #ed-new-template")
     page.keyboard.press("Escape")
+    # a part, dragged from its picture
+    at = {"x": 200, "y": 480}
+    page.locator(".ed-palette button:has-text('Lane')").drag_to(
+        page.locator("#ed-net"), target_position=at
+    )
+    found = page.evaluate("() => window.gspn.edit.document.state")
+    assert found["plan"]["resource_places"] == ["Lane_Free"] and len(found["net"]["arcs"]) == 4
+    x, y = point(page, "Lane")
+    box = page.locator("#ed-net").bounding_box()
+    assert abs(x - box["x"] - 200) < 10 and abs(y - box["y"] - 480) < 60
+    page.click("#ed-undo")
     page.click("#ed-begin-draw")
     page.keyboard.type("Home")
     page.keyboard.press("Enter")

@@ -83,6 +83,9 @@ def test_a_subnet_folds_into_one_node(tmp_path, show_net, open_page, axe, pictur
     turn = plan.net.place_number("Dock.Turn")
     page.wait_for_selector("[data-place='%d'] [data-robot='r1']" % turn)
     page.wait_for_selector(".label:has-text('Dock.Turn')")
+    box = page.locator(".boxes rect").bounding_box()  # around it, and all of it in sight
+    frame = page.locator("#net").bounding_box()
+    assert frame["x"] <= box["x"] and box["x"] + box["width"] <= frame["x"] + frame["width"]
     page.keyboard.press("Enter")
     page.wait_for_selector(".place.subnet [data-robot='r1']")
     # who chooses a node inside gets to see it

@@ -78,6 +78,7 @@ export class NetView extends EventTarget {
   build() {
     const { scene } = this;
     this.arcs = new Arcs(scene, this.places, this.transitions);
+    this.arcs.layer.prepend(this.subnets.boxes);
     this.layer = { arcs: this.arcs.layer, travel: s("g") };
     const sheet = (name, ...content) =>
       s("svg", { class: name, "aria-hidden": "true" }, ...content);
@@ -262,12 +263,18 @@ export class NetView extends EventTarget {
   redraw() {
     this.subnets.apply();
     for (const node of this.nodes) settle(node);
+    this.route();
+  }
+
+  route() {
     this.arcs.route(this.nodes);
+    this.subnets.drawBoxes();
   }
 
   /** Subnets were folded or unfolded. */
   refold() {
     this.redraw();
+    if (this.camera.fitted) this.camera.fit();
     this.reset();
     this.labels.later();
   }
@@ -287,14 +294,14 @@ export class NetView extends EventTarget {
     if (!this.routing)
       this.routing = requestAnimationFrame(() => {
         this.routing = 0;
-        this.arcs.route(this.nodes);
+        this.route();
       });
   }
 
   /** A node was released. */
   dropNode(node) {
     settle(node);
-    this.arcs.route(this.nodes);
+    this.route();
     this.kept.write(this.nodes);
     this.labels.later();
   }

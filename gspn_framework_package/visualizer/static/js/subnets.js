@@ -2,7 +2,8 @@
 // the subnet's name; the others are hidden. An unfolded subnet is drawn as in its own plan, around its entry, and
 // pushes the nodes around it aside. A list of buttons folds and unfolds, and counts the robots.
 
-import { h } from "./dom.js";
+import { boundsOf } from "./arc_routes.js";
+import { h, s } from "./dom.js";
 
 export class Subnets {
   /** `list`: the element for the buttons. Initially, subnets with more than one node are folded. */
@@ -21,6 +22,7 @@ export class Subnets {
       const entry = view.places[subnet.entry];
       subnet.around = this.all.slice(0, i).findLast((other) => other.inside.has(entry));
     });
+    this.boxes = s("g.boxes");
     this.standsFor = new Map(); // entry -> the folded subnet that it stands for
     this.behind = new Map(); // place -> entry of the folded subnet that it is in
     this.buttons = this.all.map((subnet) =>
@@ -67,6 +69,17 @@ export class Subnets {
     this.all.forEach((subnet, i) => {
       this.buttons[i].setAttribute("aria-expanded", String(!subnet.folded));
     });
+  }
+
+  /** Draw a box around each unfolded subnet. */
+  drawBoxes() {
+    const open = this.all.filter(({ folded, entry }) => !folded && !this.view.places[entry].folded);
+    this.boxes.replaceChildren(
+      ...open.map(({ inside }) => {
+        const [x, y, right, bottom] = boundsOf([...inside], [], 40, 48);
+        return s("rect", { x, y, width: right - x, height: bottom - y, rx: 12 });
+      }),
+    );
   }
 
   /** Push the surrounding nodes away from an unfolded subnet as far as its drawing extends from its entry. */

@@ -3,7 +3,7 @@
 import { attempt, plural } from "../dom.js";
 import { post } from "../api.js";
 import { bendsOf } from "../arc_routes.js";
-import { GRID, arranged } from "./arrange.js";
+import { GRID, arranged, onGrid } from "./arrange.js";
 import { copied, fitted, parsed } from "./clipboard.js";
 import { renamed, without, problemOfName } from "./rename.js";
 import {
@@ -388,19 +388,25 @@ export class Actions {
     else mode.say("Select places or transitions to duplicate.");
   }
 
-  insert(part, word) {
+  /** Add a part of a net where it was drawn, or with its middle at a spot, drawn as large as it says (px). */
+  insert(part, word, spot = null) {
     const { canvas } = this.mode;
     const nodes = [...part.places, ...part.transitions];
-    const { scale } = canvas;
-    const drawn = nodes.map(({ position: [x, y] }) => [x * scale, y * scale]);
+    const scale = spot ? 1 : canvas.scale;
+    const middle = (axis) => {
+      const values = nodes.map(({ position }) => position[axis]);
+      return (Math.min(...values) + Math.max(...values)) / 2;
+    };
+    const [right, down] = [0, 1].map((i) => (spot ? onGrid(spot[i] - middle(i)) : 0));
+    const drawn = nodes.map(({ position: [x, y] }) => [x * scale + right, y * scale + down]);
     // next to the original, or farther away if that spot is taken
     let shift = 0;
     const taken = (d) =>
       drawn.some(([x, y]) =>
-        canvas.nodes.some((node) => Math.hypot(node.x - x - d, node.y - y - d) < 15),
+        canvas.nodes.some((node) => Math.hypot(node.x - x - d, node.y - y - d) < (spot ? 50 : 15)),
       );
     while (taken(shift)) shift += 40;
-    const moved = (x, y) => canvas.toDocument(x * scale + shift, y * scale + shift);
+    const moved = (x, y) => canvas.toDocument(x * scale + right + shift, y * scale + down + shift);
     const copy = fitted(part, this.net, moved);
     this.edit(`${word} ${plural(nodes.length, "node")}`, ({ net, plan }) => {
       const values = {};

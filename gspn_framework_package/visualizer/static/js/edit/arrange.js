@@ -3,7 +3,7 @@
 export const GRID = 10; // px between the lines of the grid
 const NEAR = 7; // px within which a node snaps to the line of another node
 
-const onGrid = (value) => Math.round(value / GRID) * GRID;
+export const onGrid = (value) => Math.round(value / GRID) * GRID;
 
 /** The nearest value of one of `others` to `wanted`, within `reach`; null if none is that near. */
 function nearest(wanted, others, reach) {

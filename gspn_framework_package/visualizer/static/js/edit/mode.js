@@ -15,6 +15,7 @@ import { iconOf } from "./icons.js";
 import { Files } from "./files.js";
 import { actOnChoice } from "./menus.js";
 import { problemOfArc } from "./net_edits.js";
+import { Palette } from "./palette.js";
 import { PlanDocument } from "./plan_document.js";
 import { WhatHappens } from "./what_happens.js";
 import { Witness } from "./witness.js";
@@ -34,6 +35,7 @@ const PARTS = [
   Files,
   Together,
   Beginning,
+  Palette,
 ];
 
 /** The names of the groups of the tool bar, in their order. */
