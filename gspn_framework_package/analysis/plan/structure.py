@@ -62,12 +62,14 @@ def may_be_named(plan: Plan, t: int, asking: Iterable[int]) -> bool:
     if plan.on_lost.kind is LostKind.FIRE and plan.on_lost.transition == name:
         return True
     places = {plan.net.places[p].name for p in asking}
+    actions = [plan.actions, *(robot.actions for robot in plan.robots)]
     return (
         t in map(plan.fallback, asking)
         or any(plan.outcomes.get(place, {}).get(name, 0.0) > 0 for place in places)
         or any(
-            place in places and name in outcomes_of(action).values()
-            for place, action in plan.bindings()
+            name in outcomes_of(each[place]).values()
+            for each in actions
+            for place in places.intersection(each)
         )
     )
 

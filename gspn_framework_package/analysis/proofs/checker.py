@@ -201,8 +201,8 @@ def breaking(problem: Problem, lemma: Some, known: Sequence[Formula], t: int) ->
 
 def _before(net: Net, lemma: Some, t: int) -> Some:
     """What holds exactly where the lemma does after a firing of transition number ``t``."""
-    effect = dict(net.effect(t))
-    changes = [sum(w * effect.get(p, 0) for p, w in atom.terms) for atom in lemma.parts]
+    weights, effect = [dict(atom.terms) for atom in lemma.parts], net.effect(t)
+    changes = [sum(n * each.get(p, 0) for p, n in effect) for each in weights]
     return Some(tuple(Atom(a.terms, a.least - n) for a, n in zip(lemma.parts, changes)))
 
 
@@ -334,8 +334,8 @@ def _visit(problem: Problem, number: Any) -> str:
 
 def alone(problem: Problem, p: int) -> Marking:
     """The first marking, with one robot, in place number ``p``."""
-    first = enumerate(zip(problem.robots, problem.net.initial_marking))
-    return tuple(int(q == p) if robots else n for q, (robots, n) in first)
+    marking = [0 if robots else n for robots, n in zip(problem.robots, problem.net.initial_marking)]
+    return (*marking[:p], marking[p] + problem.robots[p], *marking[p + 1 :])
 
 
 def keeps_their_number(problem: Problem) -> bool:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections import deque
 from functools import lru_cache, partial
-from typing import Any, Deque, Dict, List, Tuple
+from typing import Any, Deque, Dict, List, Optional, Tuple
 
 from gspn_framework_package.analysis.proofs.checker import (
     Problem,
@@ -42,10 +42,11 @@ class Homing:
     """The search for ways home, of a problem that asks for them.
 
     :param watch: may stop the search.
+    :param prover: what searched for a proof before.
     """
 
-    def __init__(self, problem: Problem, watch: Watch) -> None:
-        self._problem, self._watch = problem, watch
+    def __init__(self, problem: Problem, watch: Watch, prover: Optional[Prover] = None) -> None:
+        self._problem, self._watch, self._prover = problem, watch, prover
         net = problem.net
         self._alone = lru_cache(maxsize=None)(partial(alone, problem))
         self._robots = frozenset(p for p, robots in enumerate(problem.robots) if robots)
@@ -60,7 +61,8 @@ class Homing:
         :raises LimitError: none was found.
         """
         found, net = self._ways(), self._problem.net
-        rest = Prover(at_rest(self._problem, {*found, *self._homes}), self._watch).prove()
+        resting = at_rest(self._problem, {*found, *self._homes})
+        rest = Prover(resting, self._watch, self._prover).prove()
         if isinstance(rest, Candidate):
             raise LimitError("not decided: robots may have to wait elsewhere")
         names = [place.name for place in net.places], [t.name for t in net.transitions]

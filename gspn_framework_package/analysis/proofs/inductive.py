@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import threading
 from contextlib import suppress
-from typing import Any, Dict, Iterable, List, Tuple, Union
+from typing import Any, Dict, Iterable, List, Optional, Tuple, Union
 
 from gspn_framework_package.analysis.proofs.checker import (
     All,
@@ -35,10 +35,13 @@ _AS_WRITTEN = ("xform.inline_eager", "xform.inline_linear", "xform.slice")
 """What z3 does to rules, other than to keep them as they are."""
 
 
-def search_inductive(problem: Problem, watch: Watch) -> Union[Dict[str, Any], List[str]]:
+def search_inductive(
+    problem: Problem, watch: Watch, prover: Optional[Prover] = None
+) -> Union[Dict[str, Any], List[str]]:
     """A certificate, or the names of transitions whose firings lead to where all facts hold, as z3
     says.
 
+    :param prover: what searched for a proof before.
     :raises LimitError: neither was found, or there is no z3.
     :raises CancelledError: the work was cancelled.
     """
@@ -49,28 +52,32 @@ def search_inductive(problem: Problem, watch: Watch) -> Union[Dict[str, Any], Li
     found = _Spacer(z3, problem, watch).ask()
     if isinstance(found, list):
         return [problem.net.transitions[t].name for t in found]
-    return _certificate(problem, found, watch)
+    return _certificate(problem, found, watch, prover or Prover(problem, watch))
 
 
-def _certificate(problem: Problem, invariant: Formula, watch: Watch) -> Dict[str, Any]:
+def _certificate(
+    problem: Problem, invariant: Formula, watch: Watch, prover: Prover
+) -> Dict[str, Any]:
     """The certificate that an invariant makes.
 
     :raises LimitError: a part of it is not shown.
     """
     clauses = [Some(parts) for parts in _clauses(invariant)]
-    whole = _shown(problem._replace(facts=(*clauses, *problem.facts)), watch)
+    whole = _shown(problem._replace(facts=(*clauses, *problem.facts)), watch, prover)
     known = [read_lemma(problem.net, lemma) for lemma in whole["lemmas"]] + clauses
     for clause in clauses:
         kept = {
-            problem.net.transitions[t].name: _shown(breaking(problem, clause, known, t), watch)
+            problem.net.transitions[t].name: _shown(
+                breaking(problem, clause, known, t), watch, prover
+            )
             for t in may_break(problem, clause)
         }
         whole["lemmas"].append({**written_lemma(problem.net, clause), "kept": kept})
     return whole
 
 
-def _shown(problem: Problem, watch: Watch) -> Dict[str, Any]:
-    found = Prover(problem, watch).prove()
+def _shown(problem: Problem, watch: Watch, prover: Prover) -> Dict[str, Any]:
+    found = Prover(problem, watch, prover).prove()
     if isinstance(found, Candidate):
         raise LimitError("not decided: what z3 says of its invariant could not be shown")
     return dict(found)

@@ -47,8 +47,8 @@ from gspn_framework_package.analysis.proofs.questions import (
     problem_of,
 )
 from gspn_framework_package.analysis.proofs.witness import (
+    GuidedSearch,
     played_to,
-    realise,
     shortened,
     walk_until_stuck,
 )
@@ -204,6 +204,7 @@ class _Ladder:
         self._limit, self._progress, self._cancel = limit, progress, cancel
         self._watch = watch
         self._steps: List[LadderStep] = []
+        self._prover: Optional[Prover] = None
         self._begun = time.monotonic()
 
     def climb(self) -> Answer:
@@ -231,12 +232,13 @@ class _Ladder:
         answer = self._explore(few) if few else None
         if answer is None and large:
             answer = self._wander(0.5)
-        if answer is None and found is not None:
-            answer = self._search(found, SOON)
+        search = None if found is None else GuidedSearch(self._problem, found)
+        if answer is None and search is not None:
+            answer = self._search(search, SOON)
         if answer is None and self._problem.facts:
             answer = self._induce()
-        if answer is None and found is not None:
-            answer = self._search(found)
+        if answer is None and search is not None:
+            answer = self._search(search)
         if answer is None and few < self._limit:
             answer = self._explore(self._limit)
         return answer or Answer(self._question, NOT_DECIDED, tuple(self._steps))
@@ -254,11 +256,12 @@ class _Ladder:
         if not self._problem.facts:
             self._step("structure", "the condition is not linear")
             return None
-        prover = Prover(self._problem, self._watch.part(PROVING))
+        watch = self._watch.part(PROVING)
         try:
+            self._prover = prover = Prover(self._problem, watch)
             found = prover.prove()
         except LimitError as error:
-            self._step(_name_of(prover), str(error))
+            self._step(_name_of(self._prover), str(error))
             return None
         if isinstance(found, Candidate):
             self._step(_name_of(prover), "it allows a marking that no trap excludes")
@@ -268,7 +271,8 @@ class _Ladder:
 
     def _go_home(self) -> Optional[Answer]:
         try:
-            found = Homing(self._problem, self._watch.part(PROVING)).certificate()
+            watch = self._watch.part(PROVING)
+            found = Homing(self._problem, watch, self._prover).certificate()
         except LimitError as error:
             self._step("ways home", str(error))
             return None
@@ -277,7 +281,8 @@ class _Ladder:
     def _induce(self) -> Optional[Answer]:
         name = "inductive invariants"
         try:
-            found = search_inductive(self._problem, self._watch.part(Z3_SHARE))
+            watch = self._watch.part(Z3_SHARE)
+            found = search_inductive(self._problem, watch, self._prover)
             if isinstance(found, dict):
                 return self._accepted(name, found)
             played_to(self._problem, found)
@@ -320,11 +325,11 @@ class _Ladder:
             marking=self._problem.net.named(marking, zeros=False),
         )
 
-    def _search(self, candidate: Candidate, most: float = math.inf) -> Optional[Answer]:
+    def _search(self, search: GuidedSearch, most: float = math.inf) -> Optional[Answer]:
         # from everywhere, the candidate may be no case: leave time to explore
         share = 0.5 if self._question.kind in FROM_EVERYWHERE else 1.0
         watch = self._watch.part(share, most)
-        sequence = realise(self._problem, candidate, watch)
+        sequence = search.go_on(watch)
         if sequence is not None:
             return self._found("guided search", sequence)
         self._step("guided search", "no way to it was found")
@@ -399,5 +404,5 @@ class _Ladder:
         return states[~fails[states]]
 
 
-def _name_of(prover: Prover) -> str:
-    return "state equation" if prover.programs else "structure"
+def _name_of(prover: Optional[Prover]) -> str:
+    return "state equation" if prover is not None and prover.programs else "structure"

@@ -45,6 +45,8 @@ class RowsOfPlaces:
     def _row_cells(self, row: PolicyRow) -> Iterator[Formula]:
         """What a row asks for."""
         for name, cell in zip(self._policy.places, row.counts):
+            if cell is None:
+                continue
             p = self._net.place_number(name)
             ways = [tuple(_within(p, least, most)) for least, most in ranges(cell)]
             if len(ways) == 1:
@@ -57,6 +59,8 @@ class RowsOfPlaces:
         numbers."""
         empty = marked = 0
         for name, cell in zip(self._policy.places, self._policy.rows[number].counts):
+            if cell is None:
+                continue
             bit, ways = 1 << self._net.place_number(name), ranges(cell)
             empty |= bit * all(most == 0 for _, most in ways)
             marked |= bit * all(least > 0 for least, _ in ways)

@@ -90,11 +90,13 @@ class Prover:
     """The search for a proof of one problem.
 
     :param watch: may stop the search.
+    :param other: a search that ended, about the same net and transitions: what it found out about
+        them is taken over.
     :ivar programs: the number of linear programs that were solved.
     :ivar cases: the number of cases.
     """
 
-    def __init__(self, problem: Problem, watch: Watch) -> None:
+    def __init__(self, problem: Problem, watch: Watch, other: Optional[Prover] = None) -> None:
         self._problem, self._watch = problem, watch
         self._net = problem.net
         self._lemmas: List[Some] = []
@@ -102,10 +104,15 @@ class Prover:
         self._near: List[List[int]] = [[] for _ in self._net.places]
         for number, fact in enumerate(problem.facts):
             self._listen(number, fact)
-        for lemma in _first_lemmas(problem, watch):
-            self._add(lemma)
-        self._state_equation = _StateEquation(problem) if solver_available() else None
+        self._state_equation: Optional[_StateEquation] = None
         self._arcs: Optional[Directions] = None
+        if other is not None:
+            self._state_equation, self._arcs = other._state_equation, other._arcs
+            self._traps = set(other._traps)
+        elif solver_available():
+            self._state_equation = _StateEquation(problem)
+        for lemma in _first_lemmas(problem, watch) if other is None else other._lemmas:
+            self._add(lemma)
         self.programs = self.cases = 0
 
     def prove(self) -> Any:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import heapq
 import math
 import random
+from contextlib import suppress
 from typing import Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.analysis.proofs.checker import Problem, ProofError
@@ -33,49 +34,45 @@ _ON_THE_WAY = 0.7
 """The probability that a walk takes a firing of the solution, where it can."""
 
 
-def realise(problem: Problem, candidate: Candidate, watch: Watch) -> Optional[List[str]]:
-    """The names of transitions whose firings lead to a bad marking; None if none were found within
-    the limits.
+class GuidedSearch:
+    """The search for firings that lead to a bad marking, from the markings that lack the fewest
+    firings of a solution. If that does not lead there soon, random walks are tried, which get stuck
+    where a team does, and then again the search."""
 
-    The search goes on from the marking that lacks the fewest firings of the solution. If that does
-    not lead there soon, random walks are tried, which get stuck where a team does, and then again
-    the search.
-    """
-    firings = {t: round(n) for t, n in candidate.firings.items() if round(n) > 0}
-    search = _Search(problem, firings, watch)
-    try:
-        found = search.go_on(FIRST_MARKINGS)
-        if found is None:
-            found = _walk(problem, firings, watch.part(0.5))
-        if found is None:
-            found = search.go_on(MOST_SEARCHED)
-    except LimitError:
-        return None
-    return None if found is None else [problem.net.transitions[t].name for t in found]
-
-
-class _Search:
-    """A search from the markings that lack the fewest firings."""
-
-    def __init__(self, problem: Problem, firings: Dict[int, int], watch: Watch) -> None:
-        self._problem, self._watch = problem, watch
+    def __init__(self, problem: Problem, candidate: Candidate) -> None:
+        firings = {t: round(n) for t, n in candidate.firings.items() if round(n) > 0}
+        self._problem, self._firings, self._draw = problem, firings, random.Random(1)
         start = problem.net.initial_marking
         self._came: Dict[Marking, Tuple[Optional[Marking], int]] = {start: (None, -1)}
         self._waiting: List[Tuple[int, int, int, Marking, Dict[int, int]]] = [
             (sum(firings.values()), 0, 0, start, firings)
         ]
 
-    def go_on(self, limit: int) -> Optional[List[int]]:
+    def go_on(self, watch: Watch) -> Optional[List[str]]:
+        """Search on: the names of transitions whose firings lead to a bad marking; None if none
+        were found within the limits."""
+        found = None
+        with suppress(LimitError):  # the time is over
+            found = self._search(FIRST_MARKINGS, watch)
+            if found is None:
+                with suppress(LimitError):
+                    found = _walk(self._problem, self._firings, watch.part(0.5), draw=self._draw)
+            if found is None:
+                found = self._search(MOST_SEARCHED, watch)
+        names = [transition.name for transition in self._problem.net.transitions]
+        return None if found is None else [names[t] for t in found]
+
+    def _search(self, limit: int, watch: Watch) -> Optional[List[int]]:
         """Search until a bad marking or ``limit`` markings are known.
 
         :raises LimitError: the time is over.
         """
         problem = self._problem
         while self._waiting and len(self._came) < limit:
+            watch.step("markings of a guided search", len(self._came))
             missing, length, _, marking, left = heapq.heappop(self._waiting)
             if problem.is_bad(marking):
                 return self._way(marking)
-            self._watch.step("markings of a guided search", len(self._came))
             for t in problem.fires(marking):
                 after = problem.net.fire(marking, t)
                 if after in self._came:
@@ -237,25 +234,37 @@ def _settle(problem: Problem, marking: Marking) -> List[int]:
 
 
 def _walk(
-    problem: Problem, firings: Dict[int, int], watch: Watch, most: float = math.inf
+    problem: Problem,
+    firings: Dict[int, int],
+    watch: Watch,
+    most: float = math.inf,
+    draw: Optional[random.Random] = None,
 ) -> Optional[List[int]]:
-    """Random walks until one reaches a bad marking; None if there is no time left."""
-    for markings, way, _ in _walks(problem, firings, watch, most):
+    """Random walks until one reaches a bad marking; None if none of them does.
+
+    :raises LimitError: the time is over.
+    """
+    for markings, way, _ in _walks(problem, firings, watch, most, draw):
         if problem.is_bad(markings[-1]):
             return _without_loops(markings, way)
     return None
 
 
 def _walks(
-    problem: Problem, firings: Dict[int, int], watch: Watch, most: float
+    problem: Problem,
+    firings: Dict[int, int],
+    watch: Watch,
+    most: float,
+    draw: Optional[random.Random] = None,
 ) -> Iterator[Tuple[List[Marking], List[int], bool]]:
     """Random walks, one after another: before each firing the markings and the firings so far, and
     whether none is possible.
 
     :param firings: those that a walk prefers, and how often.
     :param most: the most firings of all walks together.
+    :param draw: chooses; by default the same as ever.
     """
-    draw, net = random.Random(1), problem.net
+    draw, net = draw or random.Random(1), problem.net
     for walks in range(MOST_WALKS):
         markings, left = [net.initial_marking], dict(firings)
         way: List[int] = []
