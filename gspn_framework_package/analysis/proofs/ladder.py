@@ -2,7 +2,7 @@
 one budget of time.
 
 Of a net with many places, short random walks come first, unless there may be ways home, and longer
-ones after the state equation: teams get stuck in them as in a run.
+ones after the guided search's first second: teams get stuck in them as in a run.
 
 1. *Structure*: invariants and bounds of places, by which the facts of the question exclude each
    other.
@@ -160,7 +160,7 @@ def decide_question(
     try:
         problem = problem_of(subject, question, watch)
     except LimitError as error:
-        return Answer(question, NOT_DECIDED, (LadderStep("structure", str(error), 0.0),))
+        return Answer(question, NOT_DECIDED, (LadderStep("structure", error.message, 0.0),))
     return _Ladder(subject, question, problem, watch, limit, progress, cancel).climb()
 
 
@@ -230,11 +230,11 @@ class _Ladder:
                 return answer
         few = min(self._limit, FEW_MARKINGS)
         answer = self._explore(few) if few else None
-        if answer is None and large:
-            answer = self._wander(0.5)
         search = None if found is None else GuidedSearch(self._problem, found)
         if answer is None and search is not None:
             answer = self._search(search, SOON)
+        if answer is None and large:
+            answer = self._wander(0.5)
         if answer is None and self._problem.facts:
             answer = self._induce()
         if answer is None and search is not None:
@@ -261,7 +261,7 @@ class _Ladder:
             self._prover = prover = Prover(self._problem, watch)
             found = prover.prove()
         except LimitError as error:
-            self._step(_name_of(self._prover), str(error))
+            self._step(_name_of(self._prover), error.message)
             return None
         if isinstance(found, Candidate):
             self._step(_name_of(prover), "it allows a marking that no trap excludes")
@@ -274,7 +274,7 @@ class _Ladder:
             watch = self._watch.part(PROVING)
             found = Homing(self._problem, watch, self._prover).certificate()
         except LimitError as error:
-            self._step("ways home", str(error))
+            self._step("ways home", error.message)
             return None
         return self._accepted("ways home", found)
 
@@ -287,7 +287,7 @@ class _Ladder:
                 return self._accepted(name, found)
             played_to(self._problem, found)
         except (LimitError, ProofError) as error:  # facts may hold where nothing is bad
-            self._step(name, str(error))
+            self._step(name, error.message)
             return None
         return self._found(name, found)
 
@@ -299,7 +299,7 @@ class _Ladder:
             self._step(name, "its proof was not accepted: %s" % error)
             return None
         except LimitError as error:
-            self._step(name, str(error))
+            self._step(name, error.message)
             return None
         self._step(name, how + more)
         return Answer(self._question, PROVEN, tuple(self._steps), certificate=found)
@@ -353,7 +353,7 @@ class _Ladder:
                     none = none or len(way) <= len(space.path_to(space.explored)) + 1
                     return self._violated("exploration", way, ", none are fewer" * none)
         except LimitError as error:
-            self._step("exploration", str(error))
+            self._step("exploration", error.message)
             return None
         number = len(space) if markings is None else int(markings.reached.sum())
         if not space.complete:
