@@ -170,7 +170,7 @@ def test_what_only_precedence_excludes_is_proven_however_much_there_is():
 def test_a_wrong_answer_of_z3_proves_nothing_and_shows_nothing(monkeypatch):
     wrong = changed("lemmas", 0, "some", 0, 1, to=0)
     for answer in (wrong, ["ask", "ask"], ["note"]):
-        monkeypatch.setattr(ladder, "search_inductive", lambda problem, watch, a=answer: a)
+        monkeypatch.setattr(ladder, "search_inductive", lambda *_, a=answer: a)
         found = decide_question(desk(), TWO_AT_WORK, limit=50, seconds=2.0)
         assert found.verdict == NOT_DECIDED
 
