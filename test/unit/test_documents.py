@@ -75,9 +75,7 @@ TOPICS = {
 }
 
 SECONDS = 1.0
-"""What ``--seconds`` is cut to."""
-
-SHORTER = re.compile(r"(--seconds[= ])[0-9.]+")
+"""What ``--seconds`` is cut to, and what a computed policy is simulated for (else 5 s)."""
 
 QUOTED = re.compile(r"'[^']*'")
 FOR_A_SHELL = re.compile(r"[|&;<>()$`*?~{\\]")
@@ -186,7 +184,7 @@ def _try_gspn(command: Command, words: list, sandbox: Path, capfd: pytest.Captur
     if verb in ENDLESS | LONG:
         _parses(command, words)
         return
-    line = SHORTER.sub(lambda match: match.group(1) + "%g" % SECONDS, command.line)
+    line = _shorter(command)
     line = re.sub(r"^(gspn|python3 -m %s)(?= |$)" % PACKAGE, "", line)
     if FOR_A_SHELL.search(QUOTED.sub("", line)):
         code, told = _in_a_shell(line, sandbox)
@@ -195,6 +193,11 @@ def _try_gspn(command: Command, words: list, sandbox: Path, capfd: pytest.Captur
         told = "".join(capfd.readouterr())
     assert code == command.exit_code, "%s\n%s" % (command, told)
     assert "Traceback" not in told, "%s\n%s" % (command, told)
+
+
+def _shorter(command: Command) -> str:
+    line = re.sub(r"(?<=--seconds[= ])[0-9.]+", "%g" % SECONDS, command.line)
+    return re.sub(r" optimise (?!.*--simulate )", r"\g<0>--simulate %g " % SECONDS, line)
 
 
 def _in_a_shell(line: str, sandbox: Path) -> Tuple[int, str]:
@@ -293,7 +296,7 @@ def test_five_minutes_typed_in_a_terminal(sandbox, tmp_path):
             if not isinstance(step, Command) or step.words[:3] != ["python3", "-m", PACKAGE]:
                 continue
             typed.append(step.words[3])
-            line = SHORTER.sub(lambda match: match.group(1) + "%g" % SECONDS, step.line)
+            line = _shorter(step)
             if typed[-1] in ENDLESS:
                 terminal.begin(line + " --port 0")
                 address = re.search(r"http://[^\s]+", terminal.shows(r"The page is at .*Ctrl-C"))

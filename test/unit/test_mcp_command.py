@@ -216,7 +216,14 @@ def test_new_plans_are_written_where_that_is_allowed(plans):
     assert "already exists" in refused(tools, "draft_plan", document=document, output="drafted")
     for path in ("../drafted", "way_out/drafted", "..", "/tmp/drafted", ".hidden", "no/such/dir"):
         assert refused(tools, "draft_plan", document=document, output=path)
-    call(tools, "optimise", plan="rendezvous", reward=["Fetched=1"], output="rendezvous/best.json")
+    call(
+        tools,
+        "optimise",
+        plan="rendezvous",
+        reward=["Fetched=1"],
+        simulate=0,
+        output="rendezvous/best.json",
+    )
     assert call(tools, "check", plan="rendezvous/best.json")["accepted"]
 
 

@@ -165,7 +165,7 @@ def test_a_family_that_is_made_of_no_others(toy_tables, gspn, tmp_path):
     found = json.loads(gspn(*words, "--json", "--seed", "7"))["throughput"]
     share = found["give_up"]["mean"] / found["begin"]["mean"]
     assert share == pytest.approx(late, abs=0.025)  # some 6,000 attempts
-    words = ["optimise", folder, "--reward", "done=1", "--json", "-o", str(tmp_path / "best.json")]
+    words = ["optimise", folder, "--reward", "done=1", "--json", "--simulate", "0"]
     assert json.loads(gspn(*words))["choices"][0]["best"] == {"begin": 1.0}
     gspn("simulate", folder, "--time", "1500", "--seed", "3", "--log", log)
     assert gspn("verify", log).splitlines()[-1] == "valid"
