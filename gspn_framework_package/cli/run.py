@@ -15,7 +15,6 @@ from typing import Any, Dict, List, Optional, Sequence
 
 from gspn_framework_package.analysis.preflight.while_running import (
     CHECK_MARKINGS,
-    keeps_robots,
     why_refused,
 )
 from gspn_framework_package.cli import numbers
@@ -126,7 +125,7 @@ def _control_socket(executor: StandaloneExecutor) -> Optional[ControlSocket]:
         plan = read_plan(request.plan)
         if request.folder is not None:
             plan = replace(plan, folder=request.folder or began_with.folder)
-        agents = not keeps_robots(executor.plan)
+        agents = not executor.plan.keeps_robots
         obey(verdict(plan, standalone=agents, limit=CHECK_MARKINGS), plan)
         executor.deploy(plan, request.mapping, request.wait, lambda here: why_refused(here, agents))
         return "the run continues under the plan '%s'" % plan.name

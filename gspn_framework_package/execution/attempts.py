@@ -119,8 +119,11 @@ class AttemptFollower:
         """Delay in seconds before the next goal of the log's own robot starts."""
         self._failures = 0
         """How often its action has failed since its visit began, or the operator had it retry."""
-        self._interrupts = [t for t, e in self._game.interrupts.items() if e.comes_after is None]
-        self._interrupts = [t for t in self._interrupts if self._game.has_robots[t]]
+        self._interrupts = [
+            t
+            for t, event in self._game.interrupts.items()
+            if event.comes_after is None and plan.flows[t].taken
+        ]
         self._arrivals = {
             t
             for t in self._game.submissions
@@ -420,7 +423,7 @@ class AttemptFollower:
 
     def _exposed(self, state: TeamState, t: int) -> int:
         """The number of robots for which the event of ``t`` can occur now."""
-        place = next(p for p, _ in self.plan.net.inputs[t] if not self._game.is_resource[p])
+        place = next(p for p, _ in self.plan.net.inputs[t] if self._game.acts[p])
         free = self._game.interrupts[t].hold or self.plan.net.is_enabled(state.marking, t)
         return sum(
             robot.place == place and t not in robot.held and (free or state.paused or robot.paused)

@@ -39,11 +39,7 @@ class ChoiceReader:
     def __init__(self, plan: Plan) -> None:
         self._net = plan.net
         self._table = plan.policy.bind(plan.net)
-        acts = [p.name not in plan.resource_places for p in plan.net.places]
-        self._alone = [
-            sum(weight for p, weight in plan.net.inputs[t] if acts[p]) == 1
-            for t in range(len(plan.net.transitions))
-        ]
+        self._alone = [flow.taken == 1 for flow in plan.flows]
         self._strict = plan.strict
 
     def read(self, firing: Firing, marking: Marking, at: float) -> Optional[PolicyChoice]:

@@ -33,21 +33,12 @@ class Rules:
         self.until = (
             parse_condition(plan.until, [p.name for p in net.places]) if plan.until else None
         )
-        self.is_resource = [p.name in plan.resource_places for p in net.places]
-        self.has_robots = [any(not self.is_resource[p] for p, _ in arcs) for arcs in net.inputs]
-        self.makes_robots = [any(not self.is_resource[p] for p, _ in arcs) for arcs in net.outputs]
-        self.spontaneous = [
-            t
-            for t, transition in enumerate(net.transitions)
-            if not transition.timed
-            and not self.has_robots[t]
-            and (agents or not self.makes_robots[t])
+        self.acts, self.flows = plan.acts, plan.flows
+        alone = [
+            t for t, (taken, put) in enumerate(plan.flows) if not taken and (agents or not put)
         ]
-        self.environment_transitions = tuple(
-            t
-            for t, transition in enumerate(net.transitions)
-            if transition.timed and not self.has_robots[t] and (agents or not self.makes_robots[t])
-        )
+        self.spontaneous = [t for t in alone if not net.transitions[t].timed]
+        self.environment_transitions = tuple(t for t in alone if net.transitions[t].timed)
         self.immediate = net.immediate_from
         self.queues = frozenset(net.place_number(p) for p in plan.tasks.queues)
         self.capabilities = {r.name: r.capabilities for r in plan.robots if r.capabilities}
@@ -67,12 +58,9 @@ class Rules:
         self.takes = {
             t: [(p, weight) for p, weight in net.inputs[t] if p in self.queues]
             for t in range(len(net.transitions))
-            if self.has_robots[t] and any(p in self.queues for p, _ in net.inputs[t])
+            if self.flows[t].taken and any(p in self.queues for p, _ in net.inputs[t])
         }
         """The transitions by which robots take tasks -> the queues, and how many of each."""
-        self.moves_one = [
-            sum(weight for p, weight in arcs if not self.is_resource[p]) == 1 for arcs in net.inputs
-        ]
         self.urgency = [-1 if t.timed else t.priority for t in net.transitions]
         self.top_urgency = max(self.urgency, default=0)
         self.routing = {
@@ -90,7 +78,7 @@ class Rules:
         if not self.net.is_enabled(state.marking, t):
             return False
         for p, weight in self.net.inputs[t]:
-            if not self.is_resource[p] and not self._has_free(state, p, t, weight):
+            if self.acts[p] and not self._has_free(state, p, t, weight):
                 return False
         return True
 
@@ -99,7 +87,7 @@ class Rules:
         it moves alone, its own."""
         if t not in self.takes:
             return True
-        alone = robot.name if self.moves_one[t] else ""
+        alone = robot.name if self.flows[t].taken == 1 else ""
         for p, weight in self.takes[t]:
             mine = (task for task in state.queues.get(p, ()) if self.is_for(task.to, alone))
             if sum(1 for _ in itertools.islice(mine, weight)) < weight:
@@ -116,7 +104,7 @@ class Rules:
 
     def why_not_to(self, transition: str) -> str:
         """Why no robot can be named for the tasks that come in by a transition; "" if one can."""
-        shared = [t for t in self.takes if not self.moves_one[t]]
+        shared = [t for t in self.takes if self.flows[t].taken > 1]
         if shared:
             return "'%s' takes tasks with several robots" % self.net.transitions[shared[0]].name
         into = self.net.outputs[self.net.transition_number(transition)]
@@ -194,7 +182,7 @@ class Rules:
         if not missing and not self.may_take(state, robot, t):
             return "wants %s: the tasks there are for others" % self.net.transitions[t].name
         for p, weight in self.net.inputs[t]:
-            if not self.is_resource[p]:
+            if self.acts[p]:
                 lacking = weight - len(self.free_robots(state, p, t))
                 if lacking > 0:
                     missing.append(

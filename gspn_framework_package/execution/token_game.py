@@ -99,7 +99,7 @@ class TokenGame(Rules):
 
     def new_state(self) -> TeamState:
         """The state before ``Start``: the resource tokens of the initial marking, and no robots."""
-        marking = tuple(0 if not r else p.tokens for p, r in zip(self.net.places, self.is_resource))
+        marking = tuple(0 if acts else p.tokens for p, acts in zip(self.net.places, self.acts))
         state = TeamState(marking)
         state.queues = {p: [Task()] * marking[p] for p in self.queues if marking[p]}
         return state
@@ -218,8 +218,8 @@ class _Reducer(TaskTurn):
         t = self.net.transition_index.get(name)
         if (
             t is None
-            or self.rules.has_robots[t]
-            or (self.rules.makes_robots[t] and not self.rules.agents)
+            or self.rules.flows[t].taken
+            or (self.rules.flows[t].put and not self.rules.agents)
         ):
             self._refuse("'%s' is not a transition of the environment" % name)
         elif self.state.paused or not self.net.is_enabled(self.state.marking, t):
@@ -319,7 +319,7 @@ class _Reducer(TaskTurn):
         """Give a robot the numbers that its place and events have in the new net."""
         place = names.place_number(robot.place)
         if robot.phase.gone and (
-            place is None or game.is_resource[place] or self.rules.gives_back(robot.place)
+            place is None or not game.acts[place] or self.rules.gives_back(robot.place)
         ):
             # it returns like a new robot: its place no longer exists, or its resources were given
             # back
@@ -344,7 +344,7 @@ class _Reducer(TaskTurn):
         inherited = set()
         for p in range(len(self.net.places)):
             target = names.place_number(p)
-            if target is None or not self._is_resource_of_both(p, target, game):
+            if target is None or self.rules.acts[p] or game.acts[target]:
                 continue
             inherited.add(target)
             tasks = state.queues.get(p) or [Task()] * state.marking[p]
@@ -365,11 +365,6 @@ class _Reducer(TaskTurn):
             if number is not None:
                 known.setdefault(number, {}).update(ids)
         state.known = known
-
-    def _is_resource_of_both(self, p: int, target: int, game: TokenGame) -> bool:
-        """Whether a place of the present net and its successor in the new one are both resource
-        places."""
-        return self.rules.is_resource[p] and game.is_resource[target]
 
     def _ask_anew(self, asked: Mapping[str, str]) -> None:
         """Repeat the requests of robots that are done under the new plan, in their order of
@@ -394,7 +389,7 @@ class _Reducer(TaskTurn):
         robot = self.state.robots.get(entry.robot)
         if robot is None:
             p = self.net.place_index.get(entry.place)
-            if p is None or self.rules.is_resource[p]:
+            if p is None or not self.rules.acts[p]:
                 self._fault(None, "%s cannot join in '%s'" % (entry.robot, entry.place))
                 return
             robot = RobotState(entry.robot, p, entry.incarnation)
@@ -406,11 +401,7 @@ class _Reducer(TaskTurn):
             robot.incarnation = entry.incarnation
             robot.visit += 1
             p = self.net.place_index.get(entry.place)
-            if (
-                p is not None
-                and not self.rules.is_resource[p]
-                and self.rules.gives_back(robot.place)
-            ):
+            if p is not None and self.rules.acts[p] and self.rules.gives_back(robot.place):
                 robot.place = p
             self._add(robot)
             self._enter(robot)
@@ -484,7 +475,7 @@ class _Reducer(TaskTurn):
     def _set_place(self, entry: log_entries.SetPlace) -> None:
         robot = self.state.robots.get(entry.robot)
         p = self.net.place_index.get(entry.place)
-        if robot is None or robot.phase.gone or p is None or self.rules.is_resource[p]:
+        if robot is None or robot.phase.gone or p is None or not self.rules.acts[p]:
             self._refuse("'%s' cannot be put into '%s'" % (entry.robot, entry.place), robot)
             return
         self._cancel(robot)

@@ -408,7 +408,7 @@ class Turn:
         requested it, and of the others that are free those that chance selects."""
         movers: List[RobotState] = []
         for p, weight in self.net.inputs[t]:
-            if not self.rules.is_resource[p]:
+            if self.rules.acts[p]:
                 free = self.rules.free_robots(self.state, p, t)
                 if self.state.draws_ties and len(free) > 1:
                     others = [robot for robot in free if robot is not requester]
@@ -426,10 +426,7 @@ class Turn:
         """The target place of each mover (None: it is destroyed and becomes Void), followed by the
         places where new agents appear."""
         slots = [
-            p
-            for p, weight in self.net.outputs[t]
-            if not self.rules.is_resource[p]
-            for _ in range(weight)
+            p for p, weight in self.net.outputs[t] if self.rules.acts[p] for _ in range(weight)
         ]
         if len(movers) == len(slots) == 1:
             return [*slots]

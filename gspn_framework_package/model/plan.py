@@ -147,6 +147,13 @@ class Timing(NamedTuple):
     fence_after: float = 0.0
 
 
+class RobotFlow(NamedTuple):
+    """The number of robots that a transition takes from action places and puts into them."""
+
+    taken: int
+    put: int
+
+
 @dataclass(frozen=True)
 class Plan:
     """A plan. The code that creates one calls :meth:`validate`, which checks every field against
@@ -238,12 +245,30 @@ class Plan:
     @property
     def action_places(self) -> Tuple[str, ...]:
         """The places whose tokens are robots, in net order."""
-        return tuple(p.name for p in self.net.places if p.name not in self.resource_places)
+        return tuple(p.name for p, acts in zip(self.net.places, self.acts) if acts)
+
+    @cached_property
+    def acts(self) -> Tuple[bool, ...]:
+        """For each place of the net whether its tokens are robots."""
+        return tuple(p.name not in self.resource_places for p in self.net.places)
+
+    @cached_property
+    def flows(self) -> Tuple[RobotFlow, ...]:
+        """The robot flow of every transition (thesis 4.3.5: with the resource places removed)."""
+        return tuple(
+            RobotFlow(*(sum(w for p, w in arcs if self.acts[p]) for arcs in ways))
+            for ways in zip(self.net.inputs, self.net.outputs)
+        )
+
+    @property
+    def keeps_robots(self) -> bool:
+        """Whether no transition creates or destroys robots."""
+        return all(flow.taken == flow.put for flow in self.flows)
 
     @property
     def team_size(self) -> int:
         """The number of robots in the initial marking."""
-        return sum(p.tokens for p in self.net.places if p.name not in self.resource_places)
+        return sum(p.tokens for p, acts in zip(self.net.places, self.acts) if acts)
 
     @property
     def file_net(self) -> Net:
@@ -347,9 +372,9 @@ class Plan:
         those that lead into a queue."""
         return tuple(
             t.name
-            for t, inputs, outputs in zip(self.net.transitions, self.net.inputs, self.net.outputs)
+            for t, flow, outputs in zip(self.net.transitions, self.flows, self.net.outputs)
             if t.timed
-            and not any(self._holds_robots(p) for p, _ in (*inputs, *outputs))
+            and not any(flow)
             and (
                 t.name in self.events
                 or any(self.net.places[p].name in self.tasks.queues for p, _ in outputs)
@@ -365,9 +390,6 @@ class Plan:
         return frozenset(
             t for t in named if not self.events[t].is_watched and self.events[t].comes_after is None
         )
-
-    def _holds_robots(self, place: int) -> bool:
-        return self.net.places[place].name not in self.resource_places
 
     def failure_rule(self, place: str) -> FailureRule:
         """Return the failure rule of a place; ``'*'`` in the plan stands for every place without
@@ -623,7 +645,7 @@ class Plan:
                     "an immediate transition cannot wait for an event",
                     "make it exponential; its rate is how often the event comes",
                 )
-            if sum(weight for p, weight in net.inputs[t] if self._holds_robots(p)) > 1:
+            if self.flows[t].taken > 1:
                 raise self._error(
                     "events.%s" % name,
                     "it moves several robots, but an event interrupts one",
@@ -664,7 +686,7 @@ class Plan:
     def _validate_on_cancel(self, place: str, transition: Optional[str]) -> None:
         element = "tasks.on_cancel.%s" % place
         self._known_place(place, element)
-        if not self._holds_robots(self.net.place_number(place)):
+        if place in self.resource_places:
             raise self._error(element, "a robot carries a task, and '%s' holds no robots" % place)
         if transition is None:
             return
@@ -684,8 +706,7 @@ class Plan:
 
     def moves_robots(self, t: int) -> bool:
         """Return whether transition number ``t`` takes or puts robots."""
-        arcs = (*self.net.inputs[t], *self.net.outputs[t])
-        return any(self._holds_robots(p) for p, _ in arcs)
+        return any(self.flows[t])
 
     def _validate_times(self) -> None:
         self._validate_values("", self.times)

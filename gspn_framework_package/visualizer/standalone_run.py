@@ -13,7 +13,6 @@ from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 from gspn_framework_package.analysis.preflight.report import PreflightReport
 from gspn_framework_package.analysis.preflight.while_running import (
     CHECK_MARKINGS,
-    keeps_robots,
     why_refused,
 )
 from gspn_framework_package.execution import log_entries
@@ -112,7 +111,7 @@ class StandaloneRun(Activity, Listener):
         """See :class:`Activity`."""
         if self._told_end:
             raise RefusedError("the run is over")
-        agents = not keeps_robots(self._plan)
+        agents = not self._plan.keeps_robots
         obey(self.verdict(plan), plan)
         tell({SERVER: None})
         try:
@@ -123,7 +122,7 @@ class StandaloneRun(Activity, Listener):
 
     def verdict(self, plan: Plan) -> PreflightReport:
         """See :class:`Activity`."""
-        return verdict(plan, standalone=not keeps_robots(self._plan), limit=CHECK_MARKINGS)
+        return verdict(plan, standalone=not self._plan.keeps_robots, limit=CHECK_MARKINGS)
 
     def _record(self, runs: str) -> None:
         """Begin an event log: a new file, named after the run."""

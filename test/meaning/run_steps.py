@@ -460,7 +460,7 @@ class NetRunSteps(RunSteps):
                 continue
             if t in events:
                 yield t, transition.number * marking[events[t]]
-            elif self.game.has_robots[t]:  # each robot has its own server
+            elif self.game.flows[t].taken:  # each robot has its own server
                 degree = min(marking[p] // weight for p, weight in self.net.inputs[t])
                 yield t, transition.number * degree
             else:

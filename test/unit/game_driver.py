@@ -78,9 +78,9 @@ def check_invariants(game: TokenGame, state: TeamState) -> None:
     """Every robot is one token in its place, counts are never negative, and a snapshot is the same
     state."""
     counts = Counter(r.place for r in state.active())
-    for p, is_resource in enumerate(game.is_resource):
+    for p, acts in enumerate(game.acts):
         assert state.marking[p] >= 0
-        if not is_resource:
+        if acts:
             assert state.marking[p] == counts.get(p, 0)
     for p in game.queues:
         assert len(state.queues.get(p, ())) == state.marking[p]

@@ -101,7 +101,7 @@ class _Asked:
     def __init__(self, plan: Plan, decided: Decided) -> None:
         self.net = net = plan.net
         self.markings = np.asarray(decided.markings)
-        acts = [p for p, place in enumerate(net.places) if place.name not in plan.resource_places]
+        acts = [p for p, acts in enumerate(plan.acts) if acts]
         immediate = [t for t, transition in enumerate(net.transitions) if not transition.timed]
         numbers: Dict[Tuple[Tuple[str, float], ...], int] = {}
         self.kind = np.array(

@@ -42,7 +42,6 @@ from gspn_framework_package.analysis.limits import Limits, states_of
 from gspn_framework_package.analysis.plan.edited_nets import with_end
 from gspn_framework_package.analysis.plan.policy_answers import distinct_rows
 from gspn_framework_package.analysis.plan.reading import RUN, checked_reading, net_notes, of_events
-from gspn_framework_package.analysis.plan.structure import robot_flows
 from gspn_framework_package.analysis.state_space.rated_graph import enabled_in
 from gspn_framework_package.analysis.state_space.space import StateSpace, explore
 from gspn_framework_package.analysis.watch import Cancel, Progress
@@ -145,7 +144,7 @@ class DecisionProblem:
         losses = plan.timing.evict_after > 0 and largest > 1
         if sizes and min(sizes) < largest:
             losses = True
-        if any(flow.taken != flow.put for flow in robot_flows(plan)):
+        if not plan.keeps_robots:
             losses = False
         self._largest = plan
         timing = PlanTiming(plan)
@@ -247,13 +246,12 @@ class DecisionProblem:
         plan, stages, space = self.plan.net, self.stages, self.space
         found: Dict[int, Booleans] = {}
         late = self._doing_places
-        acts = {plan.place_number(name) for name in self.plan.action_places}
         by_origin: Dict[int, List[int]] = {}
         for t, origin in enumerate(self._net.origins):
             if self._net.steps[t] in (Stage.DECIDED, Stage.NAMED):
                 by_origin.setdefault(origin, []).append(t)
         for origin, variants in by_origin.items():
-            robots = [(p, w) for p, w in plan.inputs[origin] if p in acts]
+            robots = [(p, w) for p, w in plan.inputs[origin] if self.plan.acts[p]]
             if not any(p in late and (len(robots) > 1 or w > 1) for p, w in robots):
                 continue
             enabled = self._enabled(origin)
@@ -294,8 +292,7 @@ class DecisionProblem:
     def _teams(self, own: int, sizes: Optional[Sequence[int]]) -> List[SizedTeam]:
         space, built = self.space, self.built
         robots = np.zeros(len(space), dtype=np.int64)
-        conserved = all(flow.taken == flow.put for flow in robot_flows(self.plan))
-        if conserved:
+        if self.plan.keeps_robots:
             for name in self.plan.action_places:
                 robots += space.column(self._net.place_of[self.plan.net.place_number(name)])
         else:

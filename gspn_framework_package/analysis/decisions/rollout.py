@@ -476,7 +476,7 @@ class _Search:
                 continue
             if self._scope[p] != self._scope[group.place]:
                 continue  # rows of another scope decide there
-            if self.net.places[p].name in self.plan.resource_places:
+            if not self.plan.acts[p]:
                 continue
             spoken = table.choices(marking, p)
             if spoken is not None:

@@ -68,14 +68,10 @@ def _decides_with_action(plan: Plan) -> bool:
 
 def _of_both(plan: Plan) -> List[str]:
     """The assumptions of both readings."""
-    net = plan.net
-    robots = [
-        any(net.places[p].name not in plan.resource_places for p, _ in arcs) for arcs in net.inputs
-    ]
     assumptions = of_events(plan)
     if not plan.simulate_environment and any(
-        t.timed and not moves and t.name not in plan.submissions
-        for t, moves in zip(net.transitions, robots)
+        t.timed and not flow.taken and t.name not in plan.submissions
+        for t, flow in zip(plan.net.transitions, plan.flows)
     ):
         assumptions.append(
             "exponential transitions that only take resources fire at their rates (in a run, only "

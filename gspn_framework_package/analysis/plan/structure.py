@@ -3,33 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Iterable, List, NamedTuple, Set, Tuple
+from typing import Iterable, List, Set, Tuple
 
 from gspn_framework_package.model.action import outcomes_of
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import LostKind, Plan
 from gspn_framework_package.model.plan_timing import PlanRules
 from gspn_framework_package.model.policy_cell import cell_fits, ranges
-
-
-class RobotFlow(NamedTuple):
-    """The number of robots that a transition takes from action places and puts into them."""
-
-    taken: int
-    put: int
-
-
-def robot_flows(plan: Plan) -> List[RobotFlow]:
-    """The robot flow of every transition (thesis 4.3.5: with the resource places removed)."""
-    net = plan.net
-    acts = [p.name not in plan.resource_places for p in net.places]
-    return [
-        RobotFlow(
-            sum(w for p, w in net.inputs[t] if acts[p]),
-            sum(w for p, w in net.outputs[t] if acts[p]),
-        )
-        for t in range(len(net.transitions))
-    ]
 
 
 def may_lose_robots(plan: Plan, standalone: bool = False) -> bool:

@@ -12,7 +12,6 @@ import numpy as np
 from gspn_framework_package.analysis.plan.markings import Finding, PlanMarkings
 from gspn_framework_package.analysis.plan.structure import (
     may_lose_robots,
-    robot_flows,
 )
 from gspn_framework_package.analysis.preflight.mending import missing_row
 from gspn_framework_package.analysis.preflight.report import (
@@ -265,7 +264,7 @@ class MarkingChecks:
         )
 
     def _decide_conservative(self, markings: PlanMarkings) -> None:
-        flows = robot_flows(self.plan)
+        flows = self.plan.flows
         found = False
         for t in self._structure.unbalanced:
             firing = markings.firing(t)

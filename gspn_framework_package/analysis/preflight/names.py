@@ -186,7 +186,7 @@ class NameChecks:
         listed: List[Dict[str, Any]] = [
             {"place": self.net.places[p].name, "rows": [a + 1, b + 1]}
             for p, a, b in overlaps
-            if self.net.places[p].name not in self.plan.resource_places  # no decision there
+            if self.plan.acts[p]  # no decision elsewhere
         ]
         for entry in listed[:LISTED]:
             first, second = entry["rows"]
@@ -234,12 +234,11 @@ class NameChecks:
                 "the condition 'until' (%s) holds at the start: the run would end immediately"
                 % plan.until,
             )
-        acts = {net.place_number(name) for name in plan.action_places}
         takes_time = plan.events or any(
-            t.timed and not acts.intersection(p for p, _ in net.inputs[number])
-            for number, t in enumerate(net.transitions)
+            t.timed and not flow.taken for t, flow in zip(net.transitions, plan.flows)
         )
-        if acts and acts == set(self._rules.idle_places(everybody=True)) and not takes_time:
+        idle = self._rules.idle_places(everybody=True)
+        if any(plan.acts) and len(idle) == sum(plan.acts) and not takes_time:
             self._list.add(
                 "ends_at_once",
                 Severity.REFUSED,

@@ -30,7 +30,6 @@ class ReactingChecks:
         self._standalone = standalone
         self._queues = {net.place_number(p) for p in plan.tasks.queues}
         self._done = {net.transition_number(t) for t in (*plan.tasks.done, *plan.cancellations)}
-        self._acts = {net.place_number(p) for p in plan.action_places}
 
     def look_at_reactions(self) -> None:
         """Check events, tasks and data, if the plan has any."""
@@ -49,7 +48,7 @@ class ReactingChecks:
             for name in plan.events
             for t in (net.transition_number(name),)
             for p, _ in net.inputs[t]
-            if p in self._acts
+            if plan.acts[p]
         ]
         if interrupting:
             told = [
@@ -141,8 +140,7 @@ class ReactingChecks:
         carrying = self._carrying()
         for t, transition in enumerate(net.transitions):
             taken, given = self._tasks_of(t)
-            movers = sum(w for p, w in net.inputs[t] if p in self._acts)
-            places = sum(w for p, w in net.outputs[t] if p in self._acts)
+            movers, places = plan.flows[t]
             laden = [net.places[p].name for p, _ in net.inputs[t] if p in carrying]
             kept = 0 if t in self._done else len(laden)
             if taken and not movers and t not in self._done and taken > given:
@@ -249,7 +247,7 @@ class ReactingChecks:
                 if t not in self._done:
                     laden = sum(w for p, w in net.inputs[t] if p in carrying)
                 if laden + taken > given:
-                    carrying |= {p for p, _ in net.outputs[t] if p in self._acts}
+                    carrying |= {p for p, _ in net.outputs[t] if self.plan.acts[p]}
             if len(carrying) == size:
                 return carrying
 

@@ -10,7 +10,6 @@ from gspn_framework_package.analysis.plan.structure import (
     always_leavable,
     find_cycle,
     places_in_cycles,
-    robot_flows,
     terminal_places,
     timeless_transitions,
 )
@@ -57,7 +56,7 @@ class StructureChecks:
         self._look_at_policy()
 
     def _look_at_flows(self) -> None:
-        flows = robot_flows(self.plan)
+        flows = self.plan.flows
         transitions = self.net.transitions
         if self.standalone:
             self._list.add(
@@ -130,11 +129,10 @@ class StructureChecks:
     def _look_at_servers_of_transitions(self) -> None:
         if self.plan.team_size < 2:
             return
-        acts = {self.net.place_number(p) for p in self.plan.action_places}
         differing = [
             t
-            for i, t in enumerate(self.net.transitions)
-            if t.timed and t.servers is not None and any(p in acts for p, _ in self.net.inputs[i])
+            for t, flow in zip(self.net.transitions, self.plan.flows)
+            if t.timed and t.servers is not None and flow.taken
         ]
         # one server is also the default of a file that does not specify servers
         for single, severity, what in (

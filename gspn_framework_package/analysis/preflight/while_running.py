@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from typing import Callable
 
-from gspn_framework_package.analysis.plan.structure import robot_flows
 from gspn_framework_package.analysis.preflight.check_plan import check
 from gspn_framework_package.analysis.preflight.report import PreflightReport
 from gspn_framework_package.model.errors import CancelledError, GspnError
@@ -21,12 +20,6 @@ CHECK_MARKINGS = 50_000
 MARKINGS_AT_LAST = 50
 """Number of markings that it visits after the time is over, so that they and the structure can be
 reported."""
-
-
-def keeps_robots(plan: Plan) -> bool:
-    """Whether the plan creates and destroys no robots. A run without ROS whose plan does so can
-    only change to plans that do too."""
-    return all(flow.taken == flow.put for flow in robot_flows(plan))
 
 
 def report_soon(

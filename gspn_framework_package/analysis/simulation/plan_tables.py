@@ -7,7 +7,6 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from gspn_framework_package.analysis.plan.structure import robot_flows
 from gspn_framework_package.analysis.simulation import kernel
 from gspn_framework_package.analysis.simulation.machine import floats, integers, ragged
 from gspn_framework_package.analysis.simulation.net_arrays import (
@@ -88,7 +87,7 @@ class PlanTables:
         for t, p in means.interrupted.items():
             self.events_at[p].append(t)
         self.events = [t for here in self.events_at for t in here]
-        creates = any(flow.put > flow.taken for flow in robot_flows(plan))
+        creates = any(flow.put > flow.taken for flow in plan.flows)
         self.room = max(MOST_AGENTS, len(plan.robots)) if creates else max(len(plan.robots), 1)
         self.rules = self._rules()
 

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.preflight import check
 from gspn_framework_package.analysis.preflight.report import Severity
-from gspn_framework_package.analysis.preflight.while_running import keeps_robots
 from gspn_framework_package.analysis.simulation import simulate
 from gspn_framework_package.execution import turn
 from gspn_framework_package.execution.actions import ActionFailed
@@ -171,7 +170,7 @@ def _scripted(plan, folder):
             scenario.event(transition, at=moments.uniform(0, 4))
             scenario.holds(transition, at=moments.uniform(0, 2))
             scenario.holds(transition, False, at=moments.uniform(2, 4))
-        if keeps_robots(plan):
+        if plan.keeps_robots:
             scenario.lose(plan.robots[0].name, at=3.0)
         try:
             scenario.advance(5.0)
