@@ -63,12 +63,6 @@ class Rules:
         """The transitions by which robots take tasks -> the queues, and how many of each."""
         self.urgency = [-1 if t.timed else t.priority for t in net.transitions]
         self.top_urgency = max(self.urgency, default=0)
-        self.routing = {
-            net.transition_number(t): {
-                net.place_number(a): net.place_number(b) for a, b in routes.items()
-            }
-            for t, routes in plan.routing.items()
-        }
 
     # -- queries ---------------------------------------------------------------------------------
 

@@ -434,7 +434,7 @@ class Turn:
         void = set()
         if surplus > 0:
             void = set(itertools.islice(self._shuffled(range(len(movers)), "void"), surplus))
-        routes = self.rules.routing.get(t, {})
+        routes = self.plan.routes.get(t, {})
         targets: Dict[int, int] = {}
         for i, robot in enumerate(movers):
             wanted = routes.get(robot.place)

@@ -260,6 +260,15 @@ class Plan:
             for ways in zip(self.net.inputs, self.net.outputs)
         )
 
+    @cached_property
+    def routes(self) -> Dict[int, Dict[int, int]]:
+        """``routing``, by numbers."""
+        at, number = self.net.place_number, self.net.transition_number
+        return {
+            number(t): {at(a): at(b) for a, b in routes.items()}
+            for t, routes in self.routing.items()
+        }
+
     @property
     def keeps_robots(self) -> bool:
         """Whether no transition creates or destroys robots."""

@@ -1414,14 +1414,14 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "none appear",
         ["agents"],
-        (B.PlanTables._movers, "left.append(slots)", "left.append([])"),
+        (B.PlanTables._movers, "left[left >= 0].tolist()", "[]"),
     ),
     (
         "routes",
         "run",
         "there are none",
         ["identities"],
-        (T._targets, "self.rules.routing.get(t, {})", "{}"),
+        (T._targets, "self.plan.routes.get(t, {})", "{}"),
     ),
     (
         "routes",
@@ -1435,14 +1435,18 @@ _TABLE: Sequence[Any] = (
         "simulation",
         "there are none",
         ["identities"],
-        (B.PlanTables._movers, "if routes.get(p) in slots:", "if False:"),
+        (K.choose_targets, "slots_left[j] == mover_wants[first + i]", "False"),
     ),
     (
         "routes",
         "simulation",
         "the last arc first",
         ["identities"],
-        (B.PlanTables._movers, "slots.pop(0) if target < 0", "slots.pop() if target < 0"),
+        (
+            K.choose_targets,
+            "if slots_left[j] >= 0:",
+            "if slots_left[j] >= 0 and max(slots_left[j + 1 :], default=-1) < 0:",
+        ),
     ),
     (
         "own actions",

@@ -262,42 +262,23 @@ class PlanTables:
 
     def _movers(self) -> kernel.Moves:
         """Where the robots of each transition go: fixed, unless some become void."""
-        net = self.net
-        routing = {
-            net.transition_number(t): {
-                net.place_number(a): net.place_number(b) for a, b in routes.items()
-            }
-            for t, routes in self.plan.routing.items()
-        }
-        targets: List[List[int]] = []
-        wants: List[List[int]] = []
-        left: List[List[int]] = []
-        surplus: List[int] = []
-        for t in range(len(net.transitions)):
-            sources = [p for p, w in self.means.robots_of[t] for _ in range(w)]
-            slots = [p for p, w in net.outputs[t] if self.means.acts[p] for _ in range(w)]
-            routes = routing.get(t, {})
-            wants.append([routes.get(p, -1) for p in sources])
-            surplus.append(max(len(sources) - len(slots), 0))
-            goes: List[int] = [-1] * len(sources)
-            if not surplus[-1]:
-                for i, p in enumerate(sources):
-                    if routes.get(p) in slots:
-                        slots.remove(routes[p])
-                        goes[i] = routes[p]
-                goes = [slots.pop(0) if target < 0 else target for target in goes]
-            else:
-                goes = [0] * len(sources)
-            targets.append(goes)
-            left.append(slots)
-        mover_from, mover_target = ragged(targets)
-        _, mover_wants = ragged(wants)
-        slot_from, slots_left = ragged(left)
-        self.most_movers = max((len(goes) for goes in targets), default=0)
-        self.most_slots = max((len(slots) for slots in left), default=0)
-        return kernel.Moves(
-            mover_from, mover_target, mover_wants, slot_from, slots_left, integers(surplus)
-        )
+        acts, routes = self.means.acts, self.plan.routes
+        sources = [[p for p, w in taken for _ in range(w)] for taken in self.means.robots_of]
+        slots = [[p for p, w in put if acts[p] for _ in range(w)] for put in self.net.outputs]
+        wants = [[routes.get(t, {}).get(p, -1) for p in mine] for t, mine in enumerate(sources)]
+        mover_from, mover_wants = ragged(wants)
+        surplus = integers([max(taken - put, 0) for taken, put in self.plan.flows])
+        moves = kernel.Moves(mover_from, mover_wants, mover_wants, *ragged(slots), surplus)
+        targets = [np.zeros(len(mine), dtype=np.int64) for mine in sources]
+        random = integers([])  # nothing is drawn from it
+        for t, into in enumerate(slots):
+            if not surplus[t]:
+                left = np.array(into, dtype=np.int64)
+                kernel.choose_targets(t, len(targets[t]), moves, targets[t], left, random)
+                slots[t] = left[left >= 0].tolist()
+        self.most_movers = max(map(len, sources), default=0)
+        self.most_slots = max(map(len, slots), default=0)
+        return kernel.Moves(mover_from, ragged(targets)[1], mover_wants, *ragged(slots), surplus)
 
     # -- durations and outcomes --------------------------------------------------------------------
 
