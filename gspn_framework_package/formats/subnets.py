@@ -500,7 +500,7 @@ def _policy(plan: Plan, parts: Sequence[SubnetPart]) -> Policy:
         renamed = [
             _row(row, [names[p] for p in policy.places], names, columns) for row in policy.rows
         ]
-        own = [row for row, scope in zip(renamed, policy.row_scopes()) if scope == 0]
+        own = [renamed[n] for n in policy.bind(part.plan.net).in_scope(0)]
         _add_scope(scopes, rows, [names[p] for p in part.plan.decided_in("")], part, own)
         for inside in part.plan.subnets:
             places = part.plan.decided_in(inside)

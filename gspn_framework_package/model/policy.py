@@ -125,18 +125,6 @@ class Policy:
         """The state sent to another process: everything but the search tree, which is rebuilt."""
         return {**self.__dict__, "_table": None}
 
-    def scope_numbers(self) -> Dict[str, int]:
-        """Return the number of the scope of each place that is in one, from 1 on; all others have
-        0, that of the plan's own rows."""
-        return {name: k for k, scope in enumerate(self.scopes, 1) for name in scope.places}
-
-    def row_scopes(self) -> List[int]:
-        """Return the number of the scope of each row; see :meth:`scope_numbers`."""
-        found = [0] * len(self.rows)
-        for k, scope in enumerate(self.scopes, 1):
-            found[scope.first : scope.last] = [k] * (scope.last - scope.first)
-        return found
-
     def _check_scopes(self) -> None:
         seen: Set[str] = set()
         taken = 0
@@ -231,13 +219,15 @@ class PolicyTable:
         self._leaving: Dict[Tuple[Tuple[Tuple[str, float], ...], int], Choices] = {}
         self._ranks: Dict[int, Tuple[int, int, int]] = {}
         self._scope: Dict[int, int] = {}  # place -> number of its scope; others: 0
-        for name, k in policy.scope_numbers().items():
-            if name not in net.place_index:
-                raise PolicyError(
-                    "the net has no place '%s'" % name, element="a scope of the policy"
-                )
-            self._scope[net.place_index[name]] = k
-        self._row_scope = row_scope = policy.row_scopes()
+        self._row_scope = row_scope = [0] * len(policy.rows)
+        for k, scope in enumerate(policy.scopes, 1):
+            row_scope[scope.first : scope.last] = [k] * (scope.last - scope.first)
+            for name in scope.places:
+                if name not in net.place_index:
+                    raise PolicyError(
+                        "the net has no place '%s'" % name, element="a scope of the policy"
+                    )
+                self._scope[net.place_index[name]] = k
         self._any: Dict[int, RowIndex] = {}  # scope -> its rows; rarely needed
         self._by_place: Dict[int, RowIndex] = {}
         self._waits: Dict[int, RowIndex] = {}  # scope -> its rows without choices
@@ -303,21 +293,32 @@ class PolicyTable:
     def matches(self, marking: Sequence[int], place: int) -> bool:
         """Whether any row of the scope of ``place`` matches ``marking``, whichever place of that
         scope the row applies to."""
-        scope = self._scope.get(place, 0)
+        scope = self.scope(place)
         if scope not in self._any:
             rows = self._any[scope] = RowIndex(self._columns)
-            for number in self.rows_of(place):
+            for number in self.in_scope(scope):
                 rows.add(number, self.policy.rows[number].counts)
         return self._any[scope].find(marking) is not None
 
     def rows_of(self, place: int) -> Sequence[int]:
         """The numbers of the rows in the scope of ``place``."""
+        return self.in_scope(self.scope(place))
+
+    def scope(self, place: int) -> int:
+        """The number of the scope of ``place``, from 1 on; 0 if it is in none, as the plan's own
+        rows are."""
+        return self._scope.get(place, 0)
+
+    def in_scope(self, scope: int) -> Sequence[int]:
+        """The numbers of the rows in a scope."""
         numbers = range(len(self.policy.rows))
-        return [n for n in numbers if self.applies(n, place)] if self.policy.scopes else numbers
+        return (
+            [n for n in numbers if self._row_scope[n] == scope] if self.policy.scopes else numbers
+        )
 
     def applies(self, number: int, place: int) -> bool:
         """Whether the row ``number`` is in the scope of ``place``."""
-        return self._row_scope[number] == self._scope.get(place, 0)
+        return self._row_scope[number] == self.scope(place)
 
     def in_order(self, place: int, strict: bool) -> Iterator[Tuple[Tuple[Cell, ...], Choices]]:
         """The rows that decide for a robot in ``place``, by precedence: their cells and choices,
@@ -338,7 +339,7 @@ class PolicyTable:
 
     def waiting(self, place: int) -> List[int]:
         """Return the numbers of the rows that let a robot in ``place`` wait."""
-        index = self._waits.get(self._scope.get(place, 0))
+        index = self._waits.get(self.scope(place))
         return index.numbers() if index is not None else []
 
     def deciding(self, place: int) -> List[int]:
@@ -377,7 +378,7 @@ class PolicyTable:
         found: List[Overlap] = []
         for place, index in self._by_place.items():
             pairs = index.overlaps(limit - len(found))
-            waits = self._waits.get(self._scope.get(place, 0))
+            waits = self._waits.get(self.scope(place))
             if waits is not None:
                 pairs += index.overlaps_with(waits, limit - len(found) - len(pairs))
             found += [(place, earlier, later) for earlier, later in pairs]

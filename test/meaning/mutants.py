@@ -489,7 +489,7 @@ _TABLE: Sequence[Any] = (
         "weights decide",
         ["policy_rows"],
         (K.weigh, "sizes[STRICT] == 0", "sizes[STRICT] < 2"),
-        (policy_book.policy_book, "if not plan.strict and not", "if not"),
+        (policy_book.policy_book, "not plan.strict and not", "not"),
     ),
     (
         "strict",

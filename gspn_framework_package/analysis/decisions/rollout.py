@@ -261,8 +261,8 @@ class _Search:
         self._began = clock.monotonic()
         self._compiled = worth_compiling(self.seconds if seconds is not None else 0.0)
         self._places = list(plan.policy.places)
-        numbers = plan.policy.scope_numbers()
-        self._scope = [numbers.get(place.name, 0) for place in self.net.places]
+        table = plan.policy.bind(self.net)
+        self._scope = list(map(table.scope, range(len(self.net.places))))
         self._policy = plan.policy
         names = [place.name for place in self.net.places]
         self._never = [parse_condition(text, names) for text in request.never]
@@ -517,17 +517,14 @@ class _Search:
                 counts[column[p]] = count
             new[self._scope[place]] += [PolicyRow(tuple(counts), row.choices) for row in mine]
         padding = (None,) * (len(names) - len(self._places))
-        of = old.row_scopes()
+        table = old.bind(self.net)
         whole: List[PolicyRow] = []
         scopes: List[PolicyScope] = []
         for scope, added in enumerate(new):
             first = len(whole)
             whole += added
-            whole += [
-                PolicyRow(row.counts + padding, row.choices)
-                for row, its in zip(old.rows, of)
-                if its == scope
-            ]
+            kept = (old.rows[n] for n in table.in_scope(scope))
+            whole += [PolicyRow(row.counts + padding, row.choices) for row in kept]
             if scope:
                 scopes.append(PolicyScope(old.scopes[scope - 1].places, first, len(whole)))
         return Policy(names, whole, scopes)

@@ -27,20 +27,13 @@ class RowsOfPlaces:
     def __init__(self, table: PolicyTable, net: Net, original: Sequence[int]) -> None:
         policy = table.policy
         self._policy, self._net, self._table, self._original = policy, net, table, original
-        scopes = policy.scope_numbers()
-        self._scope = [scopes.get(place.name, 0) for place in net.places]
-        self._row_scope = policy.row_scopes()
         self._steps = 0
         self._matches: Dict[int, Formula] = {}  # scope -> one of its rows matches
         self._cells = [tuple(self._row_cells(row)) for row in policy.rows]
 
     def scope(self, p: int) -> int:
         """The number of the scope of a place."""
-        return self._scope[p]
-
-    def in_scope(self, scope: int) -> List[int]:
-        """The rows of a scope."""
-        return [number for number, of in enumerate(self._row_scope) if of == scope]
+        return self._table.scope(self._original[p])
 
     def _row_cells(self, row: PolicyRow) -> Iterator[Formula]:
         """What a row asks for."""
@@ -73,14 +66,14 @@ class RowsOfPlaces:
     def matches(self, scope: int) -> Formula:
         """Some row of a scope matches."""
         if scope not in self._matches:
-            rows = [self._cells[number] for number in self.in_scope(scope)]
+            rows = [self._cells[number] for number in self._table.in_scope(scope)]
             found = TRUE if () in rows else Some(tuple(map(All, rows)))
             self._matches[scope] = found
         return self._matches[scope]
 
     def any_matches(self, p: int) -> Formula:
         """Some row of the scope of a place matches."""
-        return self.matches(self._scope[p])
+        return self.matches(self.scope(p))
 
     def of(self, p: int) -> Iterator[Tuple[int, Sequence[int]]]:
         """The rows that decide for a place, by precedence, each with the transitions that it lets a

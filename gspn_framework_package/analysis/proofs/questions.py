@@ -553,7 +553,7 @@ class _OfPlan:
         if len(asked) == 1:
             ((scope, places),) = asked.items()
             yield Some(tuple(places))
-            yield from (opposite(self._rows.match(n)) for n in self._rows.in_scope(scope))
+            yield from (opposite(self._rows.match(n)) for n in self._table.in_scope(scope))
             return
         silent = {scope: opposite(self._rows.matches(scope)) for scope in asked}
         yield Some(tuple(All((Some(tuple(ps)), silent[scope])) for scope, ps in asked.items()))
@@ -573,7 +573,7 @@ class _OfPlan:
             for t, able in zip(leaving, enabled)
             if not self._weights_decide(t)
         ]
-        if self._rows.in_scope(self._rows.scope(p)):  # a subnet may have no policy of its own
+        if self._table.rows_of(self._original[p]):  # a subnet may have no policy of its own
             ways += [All((e, Some(tuple(enabled[i + 1 :])))) for i, e in enumerate(enabled[:-1])]
         return Some(tuple(ways))
 

@@ -278,7 +278,8 @@ class PlanTables:
                 slots[t] = left[left >= 0].tolist()
         self.most_movers = max(map(len, sources), default=0)
         self.most_slots = max(map(len, slots), default=0)
-        return kernel.Moves(mover_from, ragged(targets)[1], mover_wants, *ragged(slots), surplus)
+        goes = [target for mine in targets for target in mine]
+        return kernel.Moves(mover_from, integers(goes), mover_wants, *ragged(slots), surplus)
 
     # -- durations and outcomes --------------------------------------------------------------------
 

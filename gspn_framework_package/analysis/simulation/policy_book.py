@@ -46,21 +46,15 @@ def policy_book(plan: Plan, deciding: Sequence[int]) -> PolicyBook:
         ]
         for row in policy.rows
     ]
-    number_of = policy.scope_numbers()
-    scope_of = [number_of.get(place.name, 0) for place in net.places]
-    row_scope = policy.row_scopes()
-    scopes = 1 + len(policy.scopes)
-    always = {scope for scope, mine in zip(row_scope, cells) if not mine}
-    some_row_always = len(always) == scopes
+    scope_of = list(map(table.scope, range(len(net.places))))
+    scopes = [table.in_scope(scope) for scope in range(1 + len(policy.scopes))]
+    some_row_always = all(any(not cells[n] for n in rows) for rows in scopes)
     entries: List[List[Tuple[int, Choices]]] = [[] for _ in net.places]
     for p in deciding:
         entries[p] = [(n, table.choices_of_row(n, p)) for n in table.deciding(p)]
     # where the weights decide only if no row matches, all rows of each scope are looked up as well
-    whole_scopes: List[List[Tuple[int, Choices]]] = [[] for _ in range(scopes)]
-    if not plan.strict and not some_row_always:
-        for n in sorted(range(len(policy.rows)), key=table.precedence):
-            whole_scopes[row_scope[n]].append((n, ()))
-    entries += whole_scopes
+    weights = not plan.strict and not some_row_always
+    entries += [[(n, ()) for n in rows if weights] for rows in scopes]
     reads = [{cell for n, _ in mine for cell in cells[n][::3]} for mine in entries]
     for p in deciding:
         reads[p] |= reads[len(net.places) + scope_of[p]]
