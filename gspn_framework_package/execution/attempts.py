@@ -32,6 +32,7 @@ from gspn_framework_package.model.attempt import Attempt, EventCount
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.model.plan_timing import NO_REQUEST
 
 OUTAGE = 1.0
 """Seconds. If a team takes longer than this to agree that an action has ended, for example because
@@ -297,8 +298,7 @@ class AttemptFollower:
         leaving = net.consumers[p]
         if result:
             return bool(leaving) and net.transition_index.get(result) not in leaving
-        of_action = self._game.of_action[p]
-        return len(of_action) > 1 and all(net.transitions[t].timed for t in leaving)
+        return self._game.unnamed[p] == NO_REQUEST
 
     def _goal(self, record: Record) -> List[Attempt]:
         """Process the start of an action by the robot's own node."""

@@ -11,7 +11,7 @@ from gspn_framework_package.execution.team_tasks import FoundTask
 from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.event import BY_PRIORITY
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.model.plan_timing import POLICY
+from gspn_framework_package.model.plan_timing import POLICY, unnamed
 
 RUNS_ON = "paused, but its action runs on"
 """Why a robot does not move whose action a pause lets go on."""
@@ -52,8 +52,8 @@ class Rules:
             for p, t in plan.tasks.on_cancel.items()
         }
         self.interrupts = {net.transition_number(t): event for t, event in plan.events.items()}
-        self.of_action = [plan.of_action(p) for p in range(len(net.places))]
-        """For each place, the output transitions that are not fired by an event."""
+        self.unnamed = [unnamed(plan, p) for p in range(len(net.places))]
+        """For each place, what a robot requests whose action has named no transition."""
         self.submissions = frozenset(net.transition_number(t) for t in plan.submissions)
         self.takes = {
             t: [(p, weight) for p, weight in net.inputs[t] if p in self.queues]

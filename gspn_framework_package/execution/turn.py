@@ -31,7 +31,7 @@ from gspn_framework_package.execution.team_tasks import (
 from gspn_framework_package.model.data import NAMES_LIMIT, split
 from gspn_framework_package.model.failure import FailureEnd
 from gspn_framework_package.model.outcome import Outcome
-from gspn_framework_package.model.plan_timing import POLICY
+from gspn_framework_package.model.plan_timing import NO_REQUEST, POLICY
 
 _T = TypeVar("_T")
 
@@ -468,18 +468,16 @@ class Turn:
                 return
             self._ask(robot, t)
             return
-        of_action = self.rules.of_action[robot.place]
-        if self.rules.immediate[robot.place] or not of_action:
-            self._ask(robot, POLICY)
-        elif len(of_action) == 1:
-            self._ask(robot, of_action[0])
-        else:
-            self._failed(
-                robot,
-                Outcome.BAD_RESULT,
-                "no transition was named, but %s has %d exponential ones"
-                % (self._name(robot.place), len(of_action)),
-            )
+        asked = self.rules.unnamed[robot.place]
+        if asked != NO_REQUEST:
+            self._ask(robot, asked)
+            return
+        self._failed(
+            robot,
+            Outcome.BAD_RESULT,
+            "no transition was named, but %s has %d exponential ones"
+            % (self._name(robot.place), len(self.plan.of_action(robot.place))),
+        )
 
     def _write(self, robot: RobotState, data: Mapping[str, Any]) -> bool:
         """Write the data that an action returned; if that is not possible, the action has
@@ -517,12 +515,11 @@ class Turn:
             self._fault(robot, "%s; attempt %d follows" % (what, robot.attempt), reason)
             self._start_action(robot, rule.delay(robot.failures))
             return
-        if rule.end is FailureEnd.FIRE:
-            t = self.net.transition_number(rule.transition)
-            if t in self.net.consumers[robot.place]:
-                self._fault(robot, "%s; continues with %s" % (what, rule.transition), reason)
-                self._ask(robot, t)
-                return
+        t = self.plan.fallback(robot.place)
+        if t >= 0:
+            self._fault(robot, "%s; continues with %s" % (what, rule.transition), reason)
+            self._ask(robot, t)
+            return
         if rule.end is FailureEnd.STOP:
             self._fault(robot, what, reason)
             self._end("%s: %s" % (robot.name, what), finished=False)

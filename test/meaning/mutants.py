@@ -21,7 +21,7 @@ from gspn_framework_package.analysis.simulation import (
 from gspn_framework_package.analysis.state_space import rated_graph
 from gspn_framework_package.execution import environment, token_game, turn, virtual_time
 from gspn_framework_package.execution import rules as run_queries
-from gspn_framework_package.model import net, plan, plan_timing, policy, policy_cell
+from gspn_framework_package.model import net, plan_timing, policy, policy_cell
 from gspn_framework_package.run_net import compiling, requests, run_net, steps
 from meaning.mutant import Mutant
 
@@ -1225,7 +1225,7 @@ _TABLE: Sequence[Any] = (
         (
             C._tries,
             "if not rule.times or not failure:",
-            "if self._fallback(p) >= 0 or not failure:",
+            "if self._timing[p].fallback >= 0 or not failure:",
         ),
     ),
     (
@@ -1233,7 +1233,7 @@ _TABLE: Sequence[Any] = (
         "chain",
         "the rule fires nothing",
         ["failures"],
-        (plan.Plan.fallback, "return t if t in self.net.consumers[place] else -1", "return -1"),
+        (plan_timing._visits, "plan.fallback(number)", "-1"),
     ),
     (
         "failures",
