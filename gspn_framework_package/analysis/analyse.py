@@ -516,7 +516,7 @@ class Analysis:
         return not set(self.left_out).isdisjoint(self._parsed(condition).places)
 
     def _parsed(self, condition: str) -> Condition:
-        return parse_condition(condition, [p.name for p in self.net.places], ["deadlock"])
+        return parse_condition(condition, self.net.place_index, ["deadlock"])
 
     # -- time --------------------------------------------------------------------------------------
 

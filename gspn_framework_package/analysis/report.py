@@ -98,7 +98,7 @@ class Questions(NamedTuple):
         :raises UsageError: a tolerance is invalid.
         """
         for condition in (*self.reach, *self.mean_time_to):
-            parse_condition(condition, [p.name for p in net.places], ["deadlock"])
+            parse_condition(condition, net.place_index, ["deadlock"])
         for marking in self.cover:
             net.marking(marking)
         for name in self.rewards:

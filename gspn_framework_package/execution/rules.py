@@ -8,7 +8,6 @@ from typing import List, Mapping
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import RobotState, TeamState
 from gspn_framework_package.execution.team_tasks import FoundTask
-from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.event import BY_PRIORITY
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import POLICY, unnamed
@@ -30,9 +29,7 @@ class Rules:
         self.net = net = plan.net
         self.agents = agents
         self.policy = plan.policy.bind(net)
-        self.until = (
-            parse_condition(plan.until, [p.name for p in net.places]) if plan.until else None
-        )
+        self.until = plan.ending
         self.acts, self.flows = plan.acts, plan.flows
         alone = [
             t for t, (taken, put) in enumerate(plan.flows) if not taken and (agents or not put)

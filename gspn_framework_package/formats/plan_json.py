@@ -158,7 +158,7 @@ def plan_from_json(
     until = data.get("until")
     if until is not None:
         try:
-            parse_condition(until, [p.name for p in net.places])
+            parse_condition(until, net.place_index)
         except ExpressionError as error:
             raise PlanError(str(error), file=file, element="until") from None
     plan = Plan(

@@ -271,7 +271,7 @@ def _refuse_counts(data: Mapping[str, Any], net: Net, subnets: Collection[str]) 
             raise refuse(place, "robots")
     if "until" in data:
         try:
-            read = parse_condition(data["until"], [p.name for p in net.places]).places
+            read = parse_condition(data["until"], net.place_index).places
         except ExpressionError:
             return  # it may refer to places in a subnet; reported later, when all are known
         for place in set(read).intersection(subnets):

@@ -17,6 +17,7 @@ from typing import (
     Callable,
     Collection,
     Dict,
+    Iterable,
     List,
     Mapping,
     NamedTuple,
@@ -170,7 +171,7 @@ def either(first: Optional[str], second: Optional[str]) -> Optional[str]:
     return "(%s) or (%s)" % (first, second)
 
 
-def parse_condition(text: str, places: Sequence[str], labels: Collection[str] = ()) -> Condition:
+def parse_condition(text: str, places: Iterable[str], labels: Collection[str] = ()) -> Condition:
     """Read a condition.
 
     :param places: names of the places, in the order of the counts in a marking.

@@ -30,7 +30,7 @@ from typing import (
 )
 
 from gspn_framework_package.model.action import Action, outcomes_of, why_not_valid
-from gspn_framework_package.model.condition import parse_condition
+from gspn_framework_package.model.condition import Condition, parse_condition
 from gspn_framework_package.model.duration import Duration, Evidence
 from gspn_framework_package.model.errors import PlanError
 from gspn_framework_package.model.event import QUEUE_ORDERS, EventSource, Tasks
@@ -343,6 +343,11 @@ class Plan:
         return name
 
     @cached_property
+    def ending(self) -> Optional[Condition]:
+        """``until``, as a condition on the markings of the net."""
+        return parse_condition(self.until, self.net.place_index) if self.until else None
+
+    @cached_property
     def counters(self) -> Tuple[str, ...]:
         """Resource places that nothing reads: no transition, inhibitor arc, capacity, rate, weight,
         policy cell or ``until`` condition. They only count, and cannot affect the behaviour."""
@@ -351,8 +356,8 @@ class Plan:
         cells = zip(self.policy.places, zip(*(row.counts for row in self.policy.rows)))
         read = {place for place, counts in cells if any(count is not None for count in counts)}
         read |= net.named_by_functions()
-        if self.until:
-            read.update(parse_condition(self.until, [p.name for p in net.places]).places)
+        if self.ending is not None:
+            read.update(self.ending.places)
         return tuple(
             place.name
             for p, place in enumerate(net.places)

@@ -402,7 +402,7 @@ def rules_of(plan: Plan, timing: Optional[PlanTiming], left_out: Sequence[str] =
         [t for t in alone if net.transitions[t].timed],
         # a firing that only adds to a counter changes the marking of the run
         [timing is None or bool(plan.net.effect(t)) for t in numbers],
-        parse_condition(plan.until, [p.name for p in net.places]) if plan.until else None,
+        parse_condition(plan.until, net.place_index) if plan.until else None,
         kinds,
         kind_of,
         [{} if timing is None else _visits(plan, timing, net, kind) for kind in kinds],

@@ -249,7 +249,7 @@ class Scenario:
         """
         __tracebackhide__ = True
         if isinstance(condition, str):
-            parsed = parse_condition(condition, [p.name for p in self.plan.net.places])
+            parsed = parse_condition(condition, self.plan.net.place_index)
             met, what = lambda: parsed.holds(self._run.state.marking), condition
         else:
             met, what = condition, "the condition"

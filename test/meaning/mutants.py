@@ -1111,7 +1111,7 @@ _TABLE: Sequence[Any] = (
         "never",
         ["ends"],
         (M._until, "if not self.plan.until:", "if True:"),
-        (edited_nets.counts_that_end, "if not plan.until:", "if True:"),
+        (edited_nets.counts_that_end, "if plan.ending is None:", "if True:"),
     ),
     (
         "until",

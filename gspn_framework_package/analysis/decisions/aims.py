@@ -199,9 +199,8 @@ class Request:
         """
         objective = self.objective
         self._check_rewards(net)
-        places = [place.name for place in net.places]
         for condition in (*((objective.goal,) if objective.goal else ()), *self.never):
-            parse_condition(condition, places)
+            parse_condition(condition, net.place_index)
         for name, bound in self.at_least:
             _known(net, name, "a constraint")
             if not math.isfinite(bound):

@@ -447,7 +447,7 @@ class DecisionProblem:
         :raises ExpressionError: it cannot be parsed.
         :raises UsageError: it uses a counter that the model leaves out.
         """
-        parsed = parse_condition(condition, [p.name for p in self.plan.net.places])
+        parsed = parse_condition(condition, self.plan.net.place_index)
         unknown = [p for p in self.left_out if p in parsed.places]
         if unknown:
             raise UsageError(
@@ -598,8 +598,7 @@ class DecisionProblem:
 
 def _left_out(plan: Plan, conditions: Sequence[str]) -> Tuple[str, ...]:
     """Counters that nothing reads, and no condition either."""
-    names = [p.name for p in plan.net.places]
     read: Set[str] = set()
     for condition in conditions:
-        read.update(parse_condition(condition, names).places)
+        read.update(parse_condition(condition, plan.net.place_index).places)
     return tuple(name for name in plan.counters if name not in read)

@@ -34,11 +34,9 @@ class Safety:
         self._plan = plan
         self._stages = stages
         self._never = never
-        names = [p.name for p in stages.net.net.places]
         bad = np.zeros(len(stages), dtype=bool)
         for condition in never:
-            parsed = parse_condition(condition, names)
-            bad |= stages.space.holds(parsed)
+            bad |= stages.space.holds(parse_condition(condition, stages.net.net.place_index))
         self._bad = bad
         self.safe = self._fixpoint(waits)
         if not self.safe[0]:

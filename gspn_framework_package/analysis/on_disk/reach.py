@@ -22,7 +22,7 @@ def reach(space: OnDiskSpace, text: str, watch: Watch) -> Reachability:
     :raises ExpressionError: it cannot be parsed, or names an unknown place.
     """
     net = space.net
-    condition = parse_condition(text, [place.name for place in net.places], ["deadlock"])
+    condition = parse_condition(text, net.place_index, ["deadlock"])
     number, seen = 0, 0
     first: Optional[Tuple[int, Keys]] = None
     for layer, keys in space.parts():

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from typing import List, Tuple
 
-from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.net import Arc, Net, Place, Transition
 from gspn_framework_package.model.plan import Plan
 
@@ -25,9 +24,9 @@ def with_end(net: Net, plan: Plan) -> Net:
 
 def counts_that_end(net: Net, plan: Plan) -> List[Tuple[str, int]]:
     """The places of ``net``, each with a count from which on it alone satisfies ``until``."""
-    if not plan.until:
+    if plan.ending is None:
         return []
-    enough = parse_condition(plan.until, [p.name for p in plan.net.places]).enough()
+    enough = plan.ending.enough()
     return [(place, count) for place, count in enough if place in net.place_index and count >= 1]
 
 

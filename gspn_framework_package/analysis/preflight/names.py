@@ -9,7 +9,6 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Set
 
 from gspn_framework_package.analysis.preflight.report import LISTED, Checklist, Severity, name_list
 from gspn_framework_package.model.action import Action, ServerAction
-from gspn_framework_package.model.condition import parse_condition
 from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Transition
 from gspn_framework_package.model.plan import Transport
@@ -225,9 +224,7 @@ class NameChecks:
     def _look_at_the_beginning(self) -> None:
         """Refuse a plan whose run would end immediately."""
         plan, net = self.plan, self.net
-        if plan.until and parse_condition(plan.until, [p.name for p in net.places]).holds(
-            net.initial_marking
-        ):
+        if plan.ending is not None and plan.ending.holds(net.initial_marking):
             self._list.add(
                 "ends_at_once",
                 Severity.REFUSED,

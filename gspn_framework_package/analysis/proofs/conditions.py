@@ -16,20 +16,14 @@ from gspn_framework_package.analysis.proofs.checker import (
     Some,
     opposite,
 )
-from gspn_framework_package.model.condition import Condition, parse_condition, run_program
+from gspn_framework_package.model.condition import Condition, run_program
 from gspn_framework_package.model.errors import LimitError
-from gspn_framework_package.model.net import Net
 
 _FINEST, _LARGEST = 1 << 16, 1 << 24
 """The numbers of conditions with which floats compute exactly: multiples of a power of 1/2."""
 
 _MOST_CASES = 64
 """Most cases of a value: which of its minima and maxima are which of their parts."""
-
-
-def condition_of(text: str, net: Net) -> Condition:
-    """A condition on the markings of a net."""
-    return parse_condition(text, [place.name for place in net.places])
 
 
 def facts_of(condition: Condition) -> Tuple[Formula, ...]:

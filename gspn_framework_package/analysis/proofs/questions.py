@@ -42,7 +42,7 @@ from gspn_framework_package.analysis.proofs.checker import (
     guard,
     opposite,
 )
-from gspn_framework_package.analysis.proofs.conditions import condition_of, facts_of, formula_of
+from gspn_framework_package.analysis.proofs.conditions import facts_of, formula_of
 from gspn_framework_package.analysis.proofs.policy_rows import MOST_PROOF_ROWS, RowsOfPlaces
 from gspn_framework_package.analysis.proofs.returning import (
     FiringsLeft,
@@ -51,7 +51,7 @@ from gspn_framework_package.analysis.proofs.returning import (
     settling,
 )
 from gspn_framework_package.analysis.watch import Watch
-from gspn_framework_package.model.condition import Condition
+from gspn_framework_package.model.condition import Condition, parse_condition
 from gspn_framework_package.model.errors import LimitError, UsageError
 from gspn_framework_package.model.net import Marking, Net
 from gspn_framework_package.model.plan import Plan
@@ -133,14 +133,14 @@ def problem_of(
 def _of_net(net: Net, question: MarkingQuestion, watch: Watch) -> Problem:
     everything = tuple(range(len(net.transitions)))
     if question.kind == NEVER:
-        condition = condition_of(question.about, net)
+        condition = parse_condition(question.about, net.place_index)
         facts = facts_of(condition)
         return Problem(net, everything, facts, condition.holds, net.enabled)
     if question.kind in (APART, AT_MOST):
         facts = _too_many_in_one(net, question)
         return Problem(net, everything, facts, partial(fulfils, facts[0]), net.enabled)
     if question.kind == RETURNS:
-        condition = condition_of(question.about, net)
+        condition = parse_condition(question.about, net.place_index)
         facts = _never_back(condition, net)
         goal = opposite(facts[0]) if facts else None
         is_bad = never_returns(net, facts, condition.holds, net.enabled, watch, goal)
@@ -222,7 +222,7 @@ class _OfPlan:
         self._plan, self._question, self._watch = plan, question, watch
         named: Sequence[str] = ()
         if question.kind in (NEVER, RETURNS):
-            named = condition_of(question.about, plan.net).places
+            named = parse_condition(question.about, plan.net.place_index).places
         if question.kind in (APART, AT_MOST):
             pattern, _ = pattern_and_number(question)
             named = [p for p in plan.counters if fnmatchcase(p, pattern)]
@@ -247,7 +247,7 @@ class _OfPlan:
         self._table = plan.policy.bind(plan.net)
         self._until: Optional[Condition] = None
         if plan.until:
-            self._until = condition_of(plan.until, self._net)
+            self._until = parse_condition(plan.until, self._net.place_index)
         ends = terminal_places(plan)
         self._exits = {
             p: frozenset(t for t in self._net.consumers[p] if t < self._own)
@@ -263,7 +263,7 @@ class _OfPlan:
         is_bad: Callable[[Marking], bool]
         robots: Tuple[bool, ...] = ()
         if kind == NEVER:
-            condition = condition_of(self._question.about, net)
+            condition = parse_condition(self._question.about, net.place_index)
             facts, is_bad = facts_of(condition), condition.holds
         elif kind in (APART, AT_MOST):
             facts = _too_many_in_one(net, self._question)
@@ -488,7 +488,7 @@ class _OfPlan:
         facts if they cannot be written as inequalities."""
         until = self._until
         if self._question.kind == RETURNS:
-            condition = condition_of(self._question.about, self._net)
+            condition = parse_condition(self._question.about, self._net.place_index)
             holds: Callable[[Marking], bool] = condition.holds
         else:
             if until is None and not terminal_places(self._plan):

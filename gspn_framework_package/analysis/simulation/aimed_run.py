@@ -50,13 +50,13 @@ class AimedRun:
         net = plan.net
         timing = PlanTiming(plan)
         self.assumptions = timing.assumptions
-        names = [place.name for place in net.places]
         until = either(plan.until, objective.goal)
         self.tables = PlanTables(plan, timing, until, losses)
         self.run = PlanRun(self.tables)
         self.ended: Optional[int] = None
         self.deadline = math.inf
-        self._goal = None if objective.goal is None else parse_condition(objective.goal, names)
+        goal = objective.goal
+        self._goal = None if goal is None else parse_condition(goal, net.place_index)
         self._places: List[Tuple[int, float]] = []
         self._transitions: List[Tuple[int, float]] = []
         for name, reward in objective.rewards.items():

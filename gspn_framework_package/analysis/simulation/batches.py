@@ -101,8 +101,7 @@ def play_batch(prepared: Union[KernelPlayer, TablePlayer], batch: RunBatch, watc
 
 
 def _deadlock_or(condition: Optional[str], net: Net) -> Optional[Condition]:
-    names = [p.name for p in net.places]
-    return None if condition is None else parse_condition(condition, names, ["deadlock"])
+    return None if condition is None else parse_condition(condition, net.place_index, ["deadlock"])
 
 
 def join_batches(parts: Sequence[Samples]) -> Samples:

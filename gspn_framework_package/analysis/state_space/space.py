@@ -218,7 +218,7 @@ class StateSpace:
 
     def condition(self, text: str) -> Condition:
         """Parse a condition on the markings of this net; it may contain ``deadlock``."""
-        return parse_condition(text, [p.name for p in self.net.places], ["deadlock"])
+        return parse_condition(text, self.net.place_index, ["deadlock"])
 
     # -- kinds of states ---------------------------------------------------------------------------
 

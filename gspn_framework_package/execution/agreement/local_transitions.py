@@ -15,7 +15,6 @@ from __future__ import annotations
 from typing import Dict, FrozenSet, Optional, Set, Tuple
 
 from gspn_framework_package.execution.token_game import TokenGame
-from gspn_framework_package.model.condition import parse_condition
 
 
 class LocalTransitions:
@@ -31,9 +30,8 @@ class LocalTransitions:
         plan, net = game.plan, game.net
         watched: Set[int] = {p for arcs in net.inhibitors for p, _ in arcs}
         watched |= {p for p, place in enumerate(net.places) if place.capacity is not None}
-        if plan.until:
-            names = parse_condition(plan.until, [p.name for p in net.places]).places
-            watched |= {net.place_number(name) for name in names}
+        if plan.ending is not None:
+            watched |= {net.place_number(name) for name in plan.ending.places}
         watched |= {net.place_number(name) for name in net.named_by_functions()}
         watched |= {p for t in plan.tasks.done for p, _ in net.inputs[net.transition_number(t)]}
         policy_decides = bool(plan.policy.rows) or plan.strict
