@@ -13,10 +13,7 @@ import uuid
 from dataclasses import replace
 from typing import Any, Dict, List, Optional, Sequence
 
-from gspn_framework_package.analysis.preflight.while_running import (
-    CHECK_MARKINGS,
-    why_refused,
-)
+from gspn_framework_package.analysis.preflight.while_running import CHECK_MARKINGS, why_refused
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.interrupts import wait_for
 from gspn_framework_package.cli.options import MODULES_OPTION, Argument, Arguments

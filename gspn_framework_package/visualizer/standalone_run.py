@@ -11,10 +11,7 @@ import uuid
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from gspn_framework_package.analysis.preflight.report import PreflightReport
-from gspn_framework_package.analysis.preflight.while_running import (
-    CHECK_MARKINGS,
-    why_refused,
-)
+from gspn_framework_package.analysis.preflight.while_running import CHECK_MARKINGS, why_refused
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.breakpoints import BreakpointFile, Breakpoints
 from gspn_framework_package.execution.event_log import header

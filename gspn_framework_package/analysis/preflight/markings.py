@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING, Any, Dict, Iterable, List, Optional, Sequence
 import numpy as np
 
 from gspn_framework_package.analysis.plan.markings import Finding, PlanMarkings
-from gspn_framework_package.analysis.plan.structure import (
-    may_lose_robots,
-)
+from gspn_framework_package.analysis.plan.structure import may_lose_robots
 from gspn_framework_package.analysis.preflight.mending import missing_row
 from gspn_framework_package.analysis.preflight.report import (
     LISTED,
