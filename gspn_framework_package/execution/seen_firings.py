@@ -7,7 +7,6 @@ from typing import Dict, Iterable, List, NamedTuple, Set, Tuple
 from gspn_framework_package.model.attempt import Attempt
 from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.model.plan_timing import why_blocked
 
 
 class SeenFiring(NamedTuple):
@@ -102,6 +101,6 @@ def _never_waiting(plan: Plan) -> Set[str]:
         leaving = net.consumers[p]
         if net.immediate_from[p] and plan.policy.rows:
             continue
-        if leaving and not any(why_blocked(net, t, p) for t in leaving):
+        if leaving and all(net.fires_alone(t, p) for t in leaving):
             found.add(place)
     return found

@@ -437,13 +437,23 @@ class Net:
         return self._effects[t]
 
     def fires_alone(self, t: int, place: int) -> bool:
-        """Return whether one token in place number ``place`` is all that transition number ``t``
-        ever needs."""
-        return (
-            self.inputs[t] == ((place, 1),)
-            and not self.inhibitors[t]
-            and all(change <= 0 or self.places[p].capacity is None for p, change in self.effect(t))
-        )
+        """Return whether one token in place number ``place`` is all that transition number ``t``,
+        which takes from there, ever needs."""
+        return not self.why_blocked(t, place)
+
+    def why_blocked(self, t: int, place: int) -> str:
+        """Return what may disable transition number ``t`` other than the one token in ``place``
+        that it takes, for people; empty if nothing can."""
+        for p, weight in self.inputs[t]:
+            if p != place:
+                return "also takes from %s" % self.places[p].name
+            if weight > 1:
+                return "takes %d tokens" % weight
+        for p, _ in self.inhibitors[t]:
+            return "has an inhibitor arc from %s" % self.places[p].name
+        for p, _, _ in self._capacities[t]:
+            return "leads to %s, which has a capacity" % self.places[p].name
+        return ""
 
     def named_by_functions(self) -> Set[str]:
         """Return the names of the places that rates and weights depend on."""

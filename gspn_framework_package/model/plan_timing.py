@@ -211,7 +211,7 @@ class PlanTiming:
         for t in self._net.consumers[p]:
             transition = self._net.transitions[t]
             if transition.timed and (t not in self.events[p] or named.get(transition.name)):
-                why = why_blocked(self._net, t, p)
+                why = self._net.why_blocked(t, p)
                 if why:
                     return "%s %s" % (self._net.transitions[t].name, why)
         return ""
@@ -454,22 +454,6 @@ def unnamed(plan: Plan, place: int) -> int:
     if not leaving or plan.net.immediate_from[place]:
         return POLICY
     return leaving[0] if len(leaving) == 1 else NO_REQUEST
-
-
-def why_blocked(net: Net, t: int, place: int) -> str:
-    """What may disable transition number ``t`` other than the one token in ``place`` that requests
-    it, for people; empty if nothing can."""
-    for p, weight in net.inputs[t]:
-        if p != place:
-            return "also takes from %s" % net.places[p].name
-        if weight > 1:
-            return "takes %d tokens" % weight
-    for p, _ in net.inhibitors[t]:
-        return "has an inhibitor arc from %s" % net.places[p].name
-    for p, change in net.effect(t):
-        if change > 0 and net.places[p].capacity is not None:
-            return "leads to %s, which has a capacity" % net.places[p].name
-    return ""
 
 
 def listed(names: Sequence[str]) -> str:

@@ -11,7 +11,7 @@ from typing import Dict, List, NamedTuple
 
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
-from gspn_framework_package.model.plan_timing import PlanTiming, listed, why_blocked
+from gspn_framework_package.model.plan_timing import PlanTiming, listed
 
 RUN, NET = "run", "net"
 
@@ -88,7 +88,8 @@ def of_events(plan: Plan) -> List[str]:
     held = [
         t
         for p, t in interrupting
-        if plan.events[t].hold and why_blocked(net, net.transition_number(t), net.place_number(p))
+        if plan.events[t].hold
+        and not net.fires_alone(net.transition_number(t), net.place_number(p))
     ]
     found = []
     if timed:

@@ -22,11 +22,8 @@ def may_lose_robots(plan: Plan, standalone: bool = False) -> bool:
 
 def terminal_places(plan: Plan) -> Set[int]:
     """Numbers of the action places without output arcs, where robots are Inactive."""
-    return {
-        plan.net.place_number(name)
-        for name in plan.action_places
-        if not plan.net.consumers[plan.net.place_number(name)]
-    }
+    leaving = plan.net.consumers
+    return {p for p, acts in enumerate(plan.acts) if acts and not leaving[p]}
 
 
 def always_leavable(net: Net, place: int) -> bool:
