@@ -412,9 +412,18 @@ def test_subnets_reloads_and_unsaved_work(edit):
     after = page.evaluate("() => window.gspn.edit.canvas.camera.now")
     assert after["k"] == pytest.approx(2 * before["k"])
     assert not page.evaluate("() => window.gspn.edit.document.dirty")
+    # a click in the small picture moves the view there, here to the middle of the net
+    page.click(".minimap")
+    middle = page.evaluate(
+        """() => { const { camera } = window.gspn.edit.canvas, { k, x, y } = camera.now;
+        const [x0, y0, x1, y1] = window.gspn.edit.canvas.bounds(), { width, height } = camera.size;
+        return [(k * (x0 + x1)) / 2 + x - width / 2, (k * (y0 + y1)) / 2 + y - height / 2]; }"""
+    )
+    assert max(map(abs, middle)) < 20 * after["k"]
     # a tap chooses a node, which a finger then moves
     page.click("#ed-fit")
     page.wait_for_function("() => !window.gspn.edit.canvas.frame")
+    assert page.is_hidden(".minimap")
     x, y, k = where(page, "Work")
     touch(page, [(x, y)], [(x + 40, y)])
     assert not page.evaluate("() => window.gspn.edit.document.dirty")

@@ -1,10 +1,12 @@
 // The visible part of the net and its zoom: fitting, zooming, flying to a node.
 
+import { Minimap } from "./minimap.js";
+
 const MARGIN = [52, 56, 42, 30]; // px left, right, above and below a fitted net
 const CULL = 800; // in nets with more nodes, only those in view are drawn
 const FAR = 0.14; // below this zoom, tokens are too small to distinguish: a marked place is filled
 const SMALL = 0.35; // below this zoom, a firing is a flash: moving tokens would be hard to see
-const [NEAREST, FARTHEST] = [4, 0.02];
+const [NEAREST, FARTHEST] = [4, 0.005];
 const LARGEST_FIT = [1.6, 2.6]; // largest zoom of a fitted net, on a typical and on a very large screen
 const FLIGHT = 260; // ms
 const READABLE = 0.55; // from this zoom on, names are readable
@@ -23,6 +25,7 @@ export class Camera {
     this.fitted = false;
     this.small = false;
     this.now = null; // {k, x, y}: zoom, and where the origin of the net is in the container (px)
+    this.minimap = new Minimap(this);
     this.observer = new ResizeObserver(() => this.resized());
     this.observer.observe(view.container);
   }
@@ -128,6 +131,7 @@ export class Camera {
     for (const layer of this.view.moving) layer.setAttribute("transform", transform);
     this.small = k < SMALL;
     this.cull();
+    this.minimap.draw();
     this.keepMoving();
     if (this.view.nodes.length < CULL || !this.bold) this.rest();
     else
@@ -149,6 +153,7 @@ export class Camera {
     this.cull(true);
     this.view.container.classList.toggle("far", k < FAR);
     this.view.arcs.zoomed(k);
+    this.minimap.rest();
     // inherited by every element below; changed in steps, so that not every zoom step restyles all of them
     const bold = 2 ** (Math.round(2 * Math.log2(Math.max(1, THIN / k))) / 2);
     if (bold !== this.bold) this.view.container.style.setProperty("--bold", bold.toFixed(2));
@@ -180,5 +185,6 @@ export class Camera {
     this.stop();
     this.keepMoving();
     this.observer.disconnect();
+    this.minimap.element.remove();
   }
 }
