@@ -76,9 +76,8 @@ class Problem(NamedTuple):
         ends, is bad; None if nothing quick says so.
     :ivar settling: the transitions that end what goes on by itself.
     :ivar chosen: whether an enabled transition is one of ``fires``; None if nothing quicker says.
-    :ivar robots: for each place whether it holds robots, if the question is whether every reachable
-        marking leads back to the first one, or such a one, and counts of robots decide on no
-        firing, other than that it needs one; otherwise nothing.
+    :ivar robots: for each place whether it holds robots, if no reachable marking is bad where every
+        one leads back to the first and that is not bad; otherwise nothing.
     :ivar step: called at intervals of a check.
     :ivar needs: what holds where a transition fires.
     """
@@ -201,9 +200,8 @@ def breaking(problem: Problem, lemma: Some, known: Sequence[Formula], t: int) ->
 
 def _before(net: Net, lemma: Some, t: int) -> Some:
     """What holds exactly where the lemma does after a firing of transition number ``t``."""
-    weights, effect = [dict(atom.terms) for atom in lemma.parts], net.effect(t)
-    changes = [sum(n * each.get(p, 0) for p, n in effect) for each in weights]
-    return Some(tuple(Atom(a.terms, a.least - n) for a, n in zip(lemma.parts, changes)))
+    change = dict(net.effect(t))
+    return Some(tuple(after(atom, change) for atom in lemma.parts))
 
 
 def _is_kept(net: Net, lemma: Some, t: int) -> bool:
@@ -332,68 +330,68 @@ def _visit(problem: Problem, number: Any) -> str:
     return "%d markings visited" % number
 
 
-def alone(problem: Problem, p: int) -> Marking:
-    """The first marking, with one robot, in place number ``p``."""
-    marking = [0 if robots else n for robots, n in zip(problem.robots, problem.net.initial_marking)]
-    return (*marking[:p], marking[p] + problem.robots[p], *marking[p + 1 :])
+def after(formula: Formula, change: Dict[int, int]) -> Formula:
+    """What holds exactly where the formula does once the counts of places have changed."""
+    if isinstance(formula, Atom):
+        weights = dict(formula.terms)
+        more = sum(n * weights.get(p, 0) for p, n in change.items())
+        return Atom(formula.terms, formula.least - more)
+    return type(formula)(tuple(after(part, change) for part in formula.parts))
 
 
-def keeps_their_number(problem: Problem) -> bool:
-    """Whether no firing changes the number of robots."""
-    effects = map(problem.net.effect, problem.transitions)
-    return not any(sum(n for p, n in each if problem.robots[p]) for each in effects)
+def firing_in_turn(problem: Problem, names: Iterable[str]) -> Tuple[Formula, Dict[int, int]]:
+    """What holds where transitions can fire one after another, and how they change the counts."""
+    net = problem.net
+    change: Dict[int, int] = {}
+    guards: List[Formula] = []
+    others: List[Formula] = []
+    for name in names:
+        t = net.transition_index[name]
+        guards += [after(need, change) for need in guard(net, t)]
+        others += [after(need, change) for need in problem.needs(t)]
+        for p, n in net.effect(t):
+            change[p] = change.get(p, 0) + n
+    return All((*dict.fromkeys(guards), *others)), change
 
 
-def fires_alone(problem: Problem, marking: Marking, t: int) -> bool:
-    """Whether transition number ``t`` may fire, however many robots are elsewhere."""
-    net, chosen = problem.net, problem.chosen
-    return (
-        not any(problem.robots[p] for p, _ in net.most_tokens(t))
-        and net.is_enabled(marking, t)
-        and (chosen is None or chosen(marking, t))
-    )
-
-
-def at_rest(problem: Problem, places: Iterable[int]) -> Problem:
-    """The question whether a marking can be reached in which nothing goes on, but not all robots
-    rest in these ``places``, or others have not their first counts."""
-    net, wrong = problem.net, []
-    for p, first in enumerate(net.initial_marking):
-        if not problem.robots[p]:
-            wrong += [Atom(((p, 1),), first + 1), Atom(((p, -1),), 1 - first)]
-        elif p not in places:
-            wrong.append(Atom(((p, 1),), 1))
-    ended = (opposite(All(guard(net, t))) for t in problem.settling)
-    return problem._replace(facts=(*ended, Some(tuple(wrong))), robots=())
+def at_rest(problem: Problem, possible: Iterable[Formula], end: Sequence[int]) -> Problem:
+    """The question whether a marking other than ``end`` can be reached in which nothing goes on,
+    and nothing that is ``possible`` on a way."""
+    net = problem.net
+    other = [Atom(((p, 1),), n + 1) for p, n in enumerate(end)]
+    other += [Atom(((p, -1),), 1 - n) for p, n in enumerate(end) if n]
+    going_on = (All(guard(net, t)) for t in problem.settling)
+    facts = (Some(tuple(other)), *map(opposite, going_on), *map(opposite, possible))
+    return problem._replace(facts=facts, robots=())
 
 
 def _check_ways(problem: Problem, certificate: Any) -> str:
-    """Require that robots can always get back to their first places: ``ways``, each the name of a
-    place and firings that take a robot that is alone from there to another place, and ``rest``, the
-    certificate that robots come :func:`at_rest` only where ways lead to each first place."""
-    net, steps = problem.net, set()
-    if not keeps_their_number(problem):
-        raise ProofError("the number of robots may change")
-    for place, *names in certificate["ways"]:
-        start = net.place_index[place]
-        marking = alone(problem, start)
-        for name in names:
-            t = net.transition_index[name]
-            if not fires_alone(problem, marking, t):
-                raise ProofError("%s cannot fire on the way from %s" % (name, place))
-            marking = net.fire(marking, t)
-        end = next((p for p, n in enumerate(marking) if n and problem.robots[p]), -1)
-        if end < 0 or marking != alone(problem, end):
-            raise ProofError("the way from %s leads to no place to rest" % place)
-        steps.add((start, end))
-    homes = {p for p, n in enumerate(net.initial_marking) if n and problem.robots[p]}
-    rest = homes.union(start for start, _ in steps)
-    for home in homes:
-        leading, found = {home}, 0
-        while found < len(leading):
-            found = len(leading)
-            leading |= {start for start, end in steps if end in leading}
-        if not rest <= leading:
-            raise ProofError("no way leads home from a place to rest")
-    how = check_certificate(at_rest(problem, rest), certificate["rest"])
-    return "%d ways, %s" % (len(certificate["ways"]), how)
+    """Require that every reachable marking leads to the first one. What goes on ends by itself.
+    Then one of the ``ways`` can be gone, each a list of firings, except from the ``end``. From
+    there, the firings ``back`` lead to the first marking. There are ``distances`` of places, so
+    that each way makes the sum of them over all tokens smaller, and nothing that goes on makes it
+    larger. ``rest`` is the certificate that nothing else is :func:`at_rest`."""
+    net, ways = problem.net, [firing_in_turn(problem, way) for way in certificate["ways"]]
+    distances = {net.place_index[name]: n for name, n in certificate["distances"].items()}
+    end = dict(zip(net.place_index, net.initial_marking), **certificate["end"])
+    marking = tuple(end[place.name] for place in net.places)
+    if any(type(n) is not int or n < 0 for n in (*distances.values(), *marking)):
+        raise ProofError("a distance or count is no whole number")
+
+    def further(change: Iterable[Tuple[int, int]]) -> int:
+        return sum(distances.get(p, 0) * n for p, n in change)
+
+    if any(further(net.effect(t)) > 0 for t in problem.settling):
+        raise ProofError("what goes on may lead further away")
+    if any(further(change.items()) >= 0 for _, change in ways):
+        raise ProofError("a way leads no nearer")
+    resting = at_rest(problem, (possible for possible, _ in ways), marking)
+    how = check_certificate(resting, certificate["rest"])
+    for name in certificate["back"]:
+        t = net.transition_index[name]
+        if t not in problem.fires(marking):
+            raise ProofError("%s cannot fire on the way back" % name)
+        marking = net.fire(marking, t)
+    if marking != net.initial_marking or problem.is_bad(marking):
+        raise ProofError("the ways do not lead to where all is well")
+    return "%d ways, %s" % (len(ways), how)

@@ -8,7 +8,7 @@ ones after the guided search's first second: teams get stuck in them as in a run
    other.
 2. *State equation*: linear programs, and marked traps, exclude what is left, case by case.
 3. *Ways home*, where the question is whether the robots of a plan can get back to their first
-   places: one after another, while the others rest.
+   places, or move again: one after another, while the others rest.
 4. *Exploration* of few markings, which finds the shortest firings that lead to a bad one.
 5. *Guided search* for such firings, from a solution of the state equation, first for a second.
 6. *Inductive invariants*: inequalities that z3 finds, if it is there, and that every firing keeps,
@@ -216,8 +216,10 @@ class _Ladder:
             pass  # what follows is too much to visit, but a proof may know
         large = len(self._problem.net.places) > PLACES_EXPLORED
         # who looks at all that follows a marking may not get far
-        first = 1.0 if self._problem.surely is not None else FIRST_SHARE
-        if large and not self._problem.robots:  # what follows each marking is looked at: not yet
+        quick = self._problem.surely is not None
+        first = 1.0 if quick else FIRST_SHARE
+        # else what follows each marking is looked at: not yet
+        if large and (quick or not self._problem.robots):
             answer = self._wander(first, self._first_firings())
             if answer is not None:
                 return answer

@@ -29,6 +29,9 @@ class RowsOfPlaces:
         self._policy, self._net, self._table, self._original = policy, net, table, original
         self._steps = 0
         self._matches: Dict[int, Formula] = {}  # scope -> one of its rows matches
+        self._ranked: Dict[
+            int, List[Tuple[int, Tuple[Formula, ...], Sequence[int], List[Formula]]]
+        ] = {}
         self._cells = [tuple(self._row_cells(row)) for row in policy.rows]
 
     def scope(self, p: int) -> int:
@@ -84,20 +87,25 @@ class RowsOfPlaces:
 
     def by_precedence(
         self, p: int
-    ) -> Iterator[Tuple[int, Tuple[Formula, ...], Sequence[int], List[Formula]]]:
+    ) -> List[Tuple[int, Tuple[Formula, ...], Sequence[int], List[Formula]]]:
         """The rows of :meth:`of`, each with what it asks for, what it lets robots choose, and that
         rows which take precedence match.
 
         :raises LimitError: there are too many.
         """
+        if p in self._ranked:
+            return self._ranked[p]
         seen: List[int] = []
+        found = []
         for number, chosen in self.of(p):
             before = [self.match(other) for other in seen if self._overlap(other, number)]
-            yield number, self._cells[number], chosen, before
+            found.append((number, self._cells[number], chosen, before))
             seen.append(number)
             self._steps += 1 + len(seen) // 10 + len(chosen)
             if self._steps > MOST_PROOF_ROWS:
                 raise LimitError("not decided: the policy is too large for a proof")
+        self._ranked[p] = found
+        return found
 
     def _overlap(self, first: int, second: int) -> bool:
         """Whether two rows match a common marking."""

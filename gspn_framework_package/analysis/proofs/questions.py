@@ -13,7 +13,7 @@ as inequalities; ``Problem.is_bad`` is always exact.
 from __future__ import annotations
 
 from fnmatch import fnmatchcase
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from operator import itemgetter
 from typing import (
     Callable,
@@ -261,7 +261,7 @@ class _OfPlan:
         kind, net = self._question.kind, self._net
         facts: Tuple[Formula, ...]
         is_bad: Callable[[Marking], bool]
-        robots: Tuple[bool, ...] = ()
+        home = False
         if kind == NEVER:
             condition = parse_condition(self._question.about, net.place_index)
             facts, is_bad = facts_of(condition), condition.holds
@@ -270,25 +270,25 @@ class _OfPlan:
             is_bad = partial(fulfils, facts[0])
         elif kind == CAN_MOVE:
             facts, is_bad = self._some_never_move()
+            home = not self._question.losses and not any(
+                net.is_enabled(net.initial_marking, t) for t in self._by_themselves()
+            )
         elif kind in (RETURNS, CAN_END):
             facts, holds = self._never_back()
             goal = opposite(facts[0]) if facts else None
             is_bad = never_returns(net, facts, holds, self.fires, self._watch, goal)
-            if holds(net.initial_marking) and self._counts_no_robots():
-                robots = tuple(p in self._robots for p in range(len(net.places)))
+            home = holds(net.initial_marking)
         else:
             how = {DEAD: self._dead, FIRES: self._fires, NO_ROW: self._gap}[kind]
             facts = (*self._not_over(), *(fact for fact in how() if not _is_true(fact)))
             is_bad = self._exactly(facts)
         surely = self._stuck if kind == CAN_MOVE and self._until is None else None
+        home = home and self._until is None
+        robots = tuple(p in self._robots for p in range(len(net.places))) if home else ()
         settles = settling(net, self._by_themselves()) if surely or robots else []
-        more = surely, tuple(settles), self._chosen, robots, self._watch.step, self._needs
+        needs = lru_cache(maxsize=None)(self._needs)
+        more = surely, tuple(settles), self._chosen, robots, self._watch.step, needs
         return Problem(net, self._firing(), facts, is_bad, self.fires, *more)
-
-    def _counts_no_robots(self) -> bool:
-        """Whether counts of robots decide on no firing, other than that it needs one."""
-        counted = set(self._plan.policy.places) - self._plan.resource_places
-        return self._until is None and not counted
 
     def _firing(self) -> Tuple[int, ...]:
         """The transitions that may ever fire."""
