@@ -21,13 +21,15 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any, Callable, Dict, Iterator, Optional, Tuple
 
-import llvmlite
 import numpy as np
-from llvmlite import binding
 
 _NUMBA = importlib.util.find_spec("numba")
 if _NUMBA is None or _NUMBA.origin is None:
-    raise ImportError("numba is not installed")
+    raise ModuleNotFoundError("No module named 'numba'", name="numba")
+
+import llvmlite  # noqa: E402  # numba has it
+from llvmlite import binding  # noqa: E402
+
 _VERSION = (_NUMBA.origin, os.path.getmtime(_NUMBA.origin), llvmlite.__version__, sys.version)
 
 _LOCK = threading.Lock()
