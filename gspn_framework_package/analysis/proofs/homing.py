@@ -19,7 +19,7 @@ from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Marking
 
-STEPS = (5, 20, 80, 320, 1_280, 5_120, 20_480)
+STEPS = (20, 80, 320, 1_280, 5_120, 20_480)
 """Numbers of markings of a robot that is alone that are visited from a place from which it does not
 get home in fewer."""
 

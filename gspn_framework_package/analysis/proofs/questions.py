@@ -514,7 +514,7 @@ class _OfPlan:
     def _policy_moves_nobody(self, p: int, transitions: Collection[int]) -> Iterator[Formula]:
         """The policy lets no robot in place number ``p`` choose one that is enabled."""
         for _, cells, chosen, before in self._rows.by_precedence(p):
-            fails = [opposite(part) for part in (*cells, *map(opposite, before))]
+            fails = [*map(opposite, cells), *before]
             for t in chosen:
                 if t in transitions:
                     yield Some((*fails, _disabled(self._net, t)))
