@@ -38,7 +38,7 @@ def why_not_callable(
             refuse_other_module(module)
             return ""
         tree = ast.parse(read_bytes(file), file)
-        imported = _bindings(tree, file, function)
+        imported = imported_from(tree, file, function)
         if imported and module_file(folder, within, imported) is None:
             refuse_other_module(imported)
     except PlanError as error:
@@ -58,7 +58,7 @@ def why_not_callable(
     return ""
 
 
-def _bindings(tree: ast.Module, file: str, function: str) -> str:
+def imported_from(tree: ast.Module, file: str, function: str) -> str:
     """The module that a name of a module is imported from; "" if it is not imported, or if the
     source does not show it.
 

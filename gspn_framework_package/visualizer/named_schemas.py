@@ -123,6 +123,24 @@ EVENT = object_with(
     }
 )
 CHANGES = list_with({"kind": TEXT, "name": TEXT, "what": TEXT})
+
+CHECK: Dict[str, Schema] = {
+    "valid?": FLAG,
+    "doubts?": NAMES,
+    "decided?": FLAG,
+    "states?": WHOLE,
+    "findings?": list_with(
+        {
+            "level": TEXT,
+            "text": TEXT,
+            "hint": TEXT,
+            "check": TEXT,
+            "elements": OBJECTS,
+            "mend?": or_null(OBJECT),
+        }
+    ),
+    "cancelled?": FLAG,
+}
 EPOCH = {"epoch": TEXT}
 POSES: Dict[str, Schema] = {
     **EPOCH,

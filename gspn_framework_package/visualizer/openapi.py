@@ -15,6 +15,7 @@ from gspn_framework_package.visualizer.named_schemas import (
     ANALYSIS_FIELDS,
     BOARD,
     CHANGES,
+    CHECK,
     EDITORS,
     EPOCH,
     NAMED_SCHEMAS,
@@ -42,7 +43,7 @@ from gspn_framework_package.visualizer.schemas import (
     or_null,
 )
 
-API_VERSION = "1.4.0"
+API_VERSION = "1.5.0"
 """Version of the interface: the first number grows with each incompatible change, the second with
 each addition."""
 
@@ -421,22 +422,21 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
         "Check a document; cancelled if another check replaces this one.",
         ("id",),
         {**CHECKED, "full?": FLAG, "standalone?": FLAG},
+        CHECK,
+    ),
+    ("POST", "/api/edit/function"): ApiOperation(
+        "edit_function",
+        "A function of a plan: its source; with a text, what is wrong with that; to save, write "
+        "it, if the version in the file is still this one.",
+        ("id",),
+        {"function": TEXT, "text?": TEXT, "save?": FLAG, "version?": TEXT},
         {
-            "valid?": FLAG,
-            "doubts?": NAMES,
-            "decided?": FLAG,
-            "states?": WHOLE,
-            "findings?": list_with(
-                {
-                    "level": TEXT,
-                    "text": TEXT,
-                    "hint": TEXT,
-                    "check": TEXT,
-                    "elements": OBJECTS,
-                    "mend?": or_null(OBJECT),
-                }
-            ),
-            "cancelled?": FLAG,
+            "file?": TEXT,
+            "text?": TEXT,
+            "version?": TEXT,
+            "problem?": TEXT,
+            "line?": or_null(WHOLE),
+            "parameters?": OBJECTS,
         },
     ),
     ("POST", "/api/edit/choices"): ApiOperation(

@@ -8,6 +8,12 @@ import pytest
 from page_reading import resize
 from shop import write_shop
 
+from gspn_framework_package.execution.actions import (
+    ActionContext,
+    Cancellation,
+    load_action,
+    no_feedback,
+)
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.formats.plan_json import (
     plan_from_json,
@@ -387,6 +393,54 @@ def test_properties_of_what_is_selected(editor, axe, picture):
     page.wait_for_selector("#ed-properties .wrong:has-text('low is below high')")
     assert state(page)["plan"]["durations"]["Fetch"]["low"] == 1.5
     plan_of(state(page))
+
+
+def test_a_function_that_is_missing_is_written_in_the_form(editor, axe, picture, tmp_path):
+    page, file = editor, tmp_path / "plan" / "tasks.py"
+    page.evaluate(
+        """() => gspn.edit.document.edit("Set", ({ plan }) => ({ plan: { ...plan, actions: {
+        ...plan.actions, Sort: { function: "tasks.sort", settings: { speed: 2, box: "red" } } } } }))"""
+    )
+    finding = "#ed-findings :text('no tasks.py')"
+    page.wait_for_selector(finding, state="attached")
+    choose(page, "place:Sort")
+    control(page, "plan.actions.Sort write").click()
+    area = page.locator("#ed-properties textarea")
+    area.wait_for()
+    said = "#ed-properties .source-text [role=status]"
+    page.wait_for_selector(said + ":has-text('Parameters: speed: float, box: str')")
+    stub = area.input_value()
+    assert "Returns the transition to fire: plug_in, or sorted, or None" in stub
+    # what is wrong is said with its line; a new line begins below the last one
+    area.press("Control+End")
+    page.keyboard.type("for")
+    page.wait_for_selector(said + ".wrong:has-text('Line 7: invalid syntax')")
+    area.fill(stub.replace("    return None\n", "    if box:"))
+    area.press("Control+End")
+    page.keyboard.press("Enter")
+    page.keyboard.type("return 'sorted'")
+    assert area.input_value().endswith("\n    if box:\n        return 'sorted'")
+    page.wait_for_selector(said + ":not(.wrong):has-text('box: str')")
+    # it is kept while something else is selected, and nothing is written before somebody says so
+    choose(page, "place:Fetch")
+    choose(page, "place:Sort")
+    assert area.input_value().endswith("return 'sorted'") and not file.exists()
+    picture(page, "function")
+    axe(page, "a function is written")
+    control(page, "source tasks.sort save").click()
+    page.wait_for_selector(said + ":has-text('Written to tasks.py')")
+    page.wait_for_selector(finding, state="detached")  # the check has seen it
+    page.wait_for_selector("#ed-properties option:has-text('tasks.sort')", state="attached")
+    made = load_action(str(tmp_path / "plan"), "tasks.sort", {"speed": 2, "box": "red"})
+    context = ActionContext("Sort", "robot_1", no_feedback, Cancellation())
+    assert made(context).transition == "sorted"
+    # what somebody else wrote meanwhile is there when it is opened again
+    text = file.read_text().replace("if box", "if not box")
+    file.write_text(text)
+    control(page, "source tasks.sort close").click()
+    control(page, "plan.actions.Sort write").click()
+    area.wait_for()
+    assert area.input_value() == text
 
 
 def test_every_key_of_a_plan_has_a_form(editor, axe, picture):

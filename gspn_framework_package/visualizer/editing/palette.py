@@ -81,13 +81,14 @@ def _functions(folder: Folder, top: str) -> Iterator[Dict[str, Any]]:
             continue  # the check reports what is wrong with a module that the plan uses
         for node in tree.body:
             if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_"):
-                found = _function(node, file, tree)
+                found = described_function(node, file, tree)
                 if found is not None:
                     yield {"name": ".".join([*parts, node.name]), **found}
 
 
-def _function(node: Any, file: str, tree: ast.Module) -> Optional[Dict[str, Any]]:
-    """The description of a function, or of a class with callable instances."""
+def described_function(node: Any, file: str, tree: ast.Module) -> Optional[Dict[str, Any]]:
+    """The description of a function, or of a class with callable instances; None for a class
+    without."""
     settings: List[Dict[str, Any]] = []
     call: Optional[ast.FunctionDef] = node
     if isinstance(node, ast.ClassDef):
@@ -111,7 +112,8 @@ def _function(node: Any, file: str, tree: ast.Module) -> Optional[Dict[str, Any]
 
 
 def _parameters(function: ast.FunctionDef, bound: bool) -> List[Dict[str, Any]]:
-    """The parameters of a function, with the default of each that is a plain value."""
+    """The parameters of a function, with the default of each that is a plain value, and its type if
+    that is written as a name."""
     arguments = function.args
     listed = [*getattr(arguments, "posonlyargs", []), *arguments.args]
     missing: List[Optional[ast.expr]] = [None] * (len(listed) - len(arguments.defaults))
@@ -127,6 +129,8 @@ def _parameters(function: ast.FunctionDef, bound: bool) -> List[Dict[str, Any]]:
                 value = None
             if isinstance(value, (bool, int, float, str, type(None))):
                 entry["default"] = value
+        if isinstance(argument.annotation, ast.Name):
+            entry["type"] = argument.annotation.id
         found.append(entry)
     return found
 

@@ -26,6 +26,11 @@ from gspn_framework_package.model.net import Net
 from gspn_framework_package.visualizer.documents import Folder
 from gspn_framework_package.visualizer.editing.atomic import recover, write_all
 from gspn_framework_package.visualizer.editing.drafts import Drafts
+from gspn_framework_package.visualizer.editing.functions import (
+    FunctionSource,
+    read_function,
+    write_function,
+)
 from gspn_framework_package.visualizer.editing.open_document import (
     Opened,
     open_document,
@@ -218,6 +223,26 @@ class PlanRepository:
             state = {"version": opened.etag, "etag": opened.etag, "document": opened.document}
             return {**state, "draft": False}
         return {**{key: draft[key] for key in ("version", "etag", "document")}, "draft": True}
+
+    def function(self, path: str, name: object) -> FunctionSource:
+        """Read a function of a plan. :raises GspnError: see :func:`read_function`."""
+        with self._lock_of(path):
+            return read_function(self._place_of_functions(path), name)
+
+    def write_function(
+        self, path: str, name: object, text: object, version: object
+    ) -> FunctionSource:
+        """Write a function of a plan. :raises GspnError: see :func:`write_function`."""
+        with self._lock_of(path), self._lock:
+            place = self._place_of_functions(path)
+            return write_function(self.folder, place, name, text, version)
+
+    def _place_of_functions(self, path: str) -> str:
+        opened = self._open(path)
+        reason = self.read_only(opened)
+        if reason:
+            raise RefusedError(reason, file=opened.path)
+        return os.path.dirname(opened.parts.plan_file)
 
     def come(self, path: str, page: object, fields: Dict[str, Any], stream: bool = False) -> str:
         """A page is at a plan; return its file. See :meth:`SharedPlans.come`."""

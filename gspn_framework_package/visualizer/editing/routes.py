@@ -11,6 +11,7 @@ from flask import Response, request
 
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.visualizer.editing.export import exported
+from gspn_framework_package.visualizer.editing.functions import problem_of_function
 from gspn_framework_package.visualizer.editing.help_routes import RequestBody, add_help_routes
 from gspn_framework_package.visualizer.editing.open_document import Opened
 from gspn_framework_package.visualizer.editing.plan_repository import (
@@ -120,8 +121,24 @@ def add_routes(app: flask.Flask, project: Project, body: RequestBody, streams: S
             response.headers["X-Gspn-Notes"] = json.dumps(file.notes)
         return response
 
+    _add_functions(app, repository, body)
     _add_shared(app, repository, body, streams)
     add_help_routes(app, project, body, answer)
+
+
+def _add_functions(app: flask.Flask, repository: PlanRepository, body: RequestBody) -> None:
+    """Add the route by which the source of a function is read, checked and written."""
+
+    @app.route(PREFIX + "/function", methods=["POST"])
+    def function() -> Response:
+        fields = body()
+        name, text = fields.get("function"), fields.get("text")
+        if fields.get("save") is True:
+            source = repository.write_function(_path(), name, text, fields.get("version"))
+            return answer(source._asdict())
+        if text is None:
+            return answer(repository.function(_path(), name)._asdict())
+        return answer(problem_of_function(name, text))
 
 
 def _add_shared(

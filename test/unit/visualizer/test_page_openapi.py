@@ -187,6 +187,8 @@ def test_answers_to_orders_and_edits_are_as_described(tmp_path):
     answer("POST", "/api/edit/save_as" + key, {**document, "name": "copy"})
     answer("POST", "/api/edit/new", {"name": "mine"})
     answer("GET", "/api/edit/palette" + key)
+    answer("POST", "/api/edit/function" + key, {"function": "tasks.sweep"})
+    answer("POST", "/api/edit/function" + key, {"function": "tasks.sweep", "text": "("})
     answer("GET", "/api/edit/fields?kind=publish&type=std_msgs/String")
 
 

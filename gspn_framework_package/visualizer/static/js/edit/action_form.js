@@ -2,6 +2,7 @@
 
 import { h, options } from "../dom.js";
 import { problemOfData } from "./data_form.js";
+import { functionWriter, parameterText } from "./function_form.js";
 import { messageHint, messagesOf, pathsOf } from "./message_form.js";
 import { nodeKey } from "./net_edits.js";
 import { problemOf } from "./schema.js";
@@ -20,6 +21,9 @@ const TITLES = {
 };
 /** What an action begins with, unless it is an object with empty texts. */
 const START = { none: null, function: "", command: { command: [""] } };
+
+/** What a setting begins with whose parameter has this type in the source. */
+const START_OF = { bool: false, int: 0, float: 0, list: [], tuple: [], dict: {} };
 
 const SENT = { server: "goal", service: "request", publish: "message" };
 
@@ -77,7 +81,7 @@ export function actionField(form, lens, title, schema) {
     "div.action-form",
     form.labelled("Action", choice),
     palette(form, whole, title, kind, allowed),
-    kind === "function" && functionHelp(form, value),
+    kind === "function" && functionHelp(form, lens, value),
     kind !== undefined &&
       kind !== "none" &&
       objectForm(form, kinds.get(kind), object, title, {
@@ -172,7 +176,10 @@ function hints(form, kind, value, place) {
       settings: {
         names: () => (known?.parameters ?? []).map(parameterName),
         // of the type that the function expects
-        start: (_, name) => known?.parameters.find((it) => it.name === name)?.default ?? "",
+        start: (_, name) => {
+          const { default: usual, type } = known?.parameters.find((it) => it.name === name) ?? {};
+          return usual ?? START_OF[type] ?? "";
+        },
       },
       server: { placeholder: "the name of the place" },
     };
@@ -215,17 +222,20 @@ function opener(form, lens, value) {
   );
 }
 
-/** The docstring and the parameters of the function that an action names. */
-function functionHelp(form, value) {
+/** The docstring and the parameters of the function that an action names, and its source. */
+function functionHelp(form, lens, value) {
   const name = typeof value === "string" ? value : value?.function;
   const known = form.palette?.functions?.find((it) => it.name === name);
-  if (!known) return null;
-  return h(
-    "p.muted",
-    known.doc || "The function has no docstring.",
-    known.parameters?.length > 0 &&
-      ` Parameters: ${known.parameters.map(parameterName).join(", ")}.`,
-  );
+  return [
+    known &&
+      h(
+        "p.muted",
+        known.doc || "The function has no docstring.",
+        known.parameters?.length > 0 &&
+          ` Parameters: ${known.parameters.map(parameterText).join(", ")}.`,
+      ),
+    functionWriter(form, lens, value, known),
+  ];
 }
 
 /** The hints of `keep` and `outcomes` of an action in a place. */

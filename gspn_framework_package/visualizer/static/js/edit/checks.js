@@ -53,6 +53,7 @@ export class Checks {
       onclick: () => mode.showPanel("checks"),
     });
     mode.onDocument(() => this.later(), "change");
+    mode.addEventListener("functions", () => this.check());
     this.check();
   }
 

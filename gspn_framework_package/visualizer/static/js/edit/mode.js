@@ -41,7 +41,8 @@ const PARTS = [
 /** The names of the groups of the tool bar, in their order. */
 const GROUPS = ["file", "history", "add", "change", "arrange", "look"];
 
-/** One document being edited. Fires "select" (detail: the Set of selected keys) and "frame". */
+/** One document being edited. Fires "select" (detail: the Set of selected keys), "frame" and
+ * "functions" (one was written). */
 export class EditMode extends EventTarget {
   /** `opened`: the answer to GET edit; `document`: the one that was left open, if any; `crumbs`: the files that led
    * here, [[id, name], ...]. */

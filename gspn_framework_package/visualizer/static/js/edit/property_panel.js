@@ -60,6 +60,7 @@ class Palette {
     const again = () => !document.hidden && this.look();
     const timer = setInterval(again, LOOK_AGAIN);
     addEventListener("focus", again, { signal: mode.bound.signal });
+    mode.addEventListener("functions", () => this.look());
     mode.bound.signal.addEventListener("abort", () => clearInterval(timer));
   }
 
