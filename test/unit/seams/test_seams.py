@@ -195,6 +195,8 @@ def test_the_page_describes_the_order_and_gives_it(toy_order):
     assert (described["where"], described["label"]) == ("more", "Greet")
     assert [field["name"] for field in described["fields"]] == ["robot", "whom"]
     asked, team = [], Mock(names={"/r2": "robot_2"}, gone=frozenset(), run="monday")
+    status = {"robot": "robot_2", "run": "monday", "active": True, "log_length": 1}
+    team.statuses.return_value = [("/r2", status)]
 
     def call(address, robot, request, answered):
         asked.append(request)
