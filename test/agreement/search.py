@@ -20,13 +20,16 @@ from __future__ import annotations
 
 import json
 import random
+from functools import partialmethod
 from typing import Any, Dict, FrozenSet, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from unittest import mock
 
 from agreement.plans import STEERED, another_plan, make_plan
 from agreement.process import Copy, Host, Process, Step
 from agreement.world import ViolationError
 from gspn_framework_package.execution import log_entries, plan_change
 from gspn_framework_package.execution.agreement import interface
+from gspn_framework_package.execution.agreement.membership import Membership
 from gspn_framework_package.execution.agreement.replica import Replica
 from gspn_framework_package.execution.event_log import EventLog
 from gspn_framework_package.execution.verifier import verify
@@ -533,13 +536,21 @@ class Search:
         self.verified += 1
 
     def replay(self, path: Sequence[Action]) -> List[Optional[Process]]:
-        """Take a path again with processes that take every step, and records that have times."""
+        """Take a path again with processes that take every step, and records that have times. New ids
+        of logs are those of the search, which depend on the time of the first process of a kind."""
         processes: List[Optional[Process]] = [None] * len(self.hosts)
+        searched = [-1] * len(self.hosts)
         try:
             for number, action in enumerate([*self._prologue, *path]):
+                node = action.node
+                for host in self.hosts:
+                    host.mono = None
+                searched[node] = self._outcome(searched[node], action).process
                 for host in self.hosts:
                     host.mono = number
-                processes[action.node] = self.play(processes[action.node], action).process
+                renew = partialmethod(_renew_log_id, self.processes[searched[node]].log_id)
+                with mock.patch.object(Membership, "_renew_log_id", renew):
+                    processes[node] = self.play(processes[node], action).process
         finally:
             for host in self.hosts:
                 host.mono = None
@@ -567,6 +578,10 @@ class Search:
         if action.cut >= 0:
             what += ", and is killed after %d records" % action.cut
         return "%s: %s" % (name, what)
+
+
+def _renew_log_id(part: Membership, log_id: str) -> None:
+    part.state.log_id = log_id
 
 
 def _draw(source: random.Random, lane: Tuple[str, int, int]) -> float:
