@@ -162,8 +162,8 @@ def guard(net: Net, t: int) -> Tuple[Atom, ...]:
 def opposite(formula: Formula) -> Formula:
     """What holds exactly where the formula does not."""
     if isinstance(formula, Atom):
-        return Atom(tuple((p, -weight) for p, weight in formula.terms), 1 - formula.least)
-    parts = tuple(opposite(part) for part in formula.parts)
+        return Atom(tuple([(p, -weight) for p, weight in formula.terms]), 1 - formula.least)
+    parts = tuple(map(opposite, formula.parts))
     return Some(parts) if isinstance(formula, All) else All(parts)
 
 
