@@ -242,7 +242,11 @@ def test_arcs_are_bent_by_hand(edit, tmp_path):
     assert [arc.get("bends", []) for arc in saved["net"]["arcs"]] == bends()
     page.click("#ed-close")
     page.wait_for_selector("body[data-mode=SIMULATE][data-ready]")
-    assert page.evaluate("(c) => eval(c)(window.gspn.page.view.arcs.all)", COURSE) == drawn
+    # the page may show the session as it was, until it has read what was saved
+    page.wait_for_function(
+        "([c, drawn]) => JSON.stringify(eval(c)(window.gspn.page.view.arcs.all)) === JSON.stringify(drawn)",
+        arg=[COURSE, drawn],
+    )
     assert page.evaluate("() => window.gspn.page.view.bounds()[3]") > 160
     legs = page.evaluate(
         """() => { const { travel, places, transitions } = window.gspn.page.view;
