@@ -29,7 +29,7 @@ from benchmarks.latency import plan_of
 from gspn_framework_package.model.errors import ExecutionError, UsageError
 from gspn_framework_package.model.plan import Synchronisation
 
-PATIENCE = 0.5
+PAUSE = 0.5
 """Seconds that pass between two things that happen to a team."""
 
 
@@ -53,13 +53,13 @@ def run_team(number: int, folder: Path) -> Path:
                     problem = team.order(order)
                     if problem:
                         raise ExecutionError("%s: %s" % (order, problem), file=team.folder)
-                    team.pass_time(PATIENCE)
+                    team.pass_time(PAUSE)
             elif what == "kill":
                 robot = source.choice(team.robots)
                 team.programs.kill(robot)
                 team.start(robot)
                 team.wait_for_moves([robot])
-            team.pass_time(PATIENCE)
+            team.pass_time(PAUSE)
         team.end()
         violation = team.verdict().violation
         if violation:

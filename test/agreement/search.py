@@ -540,17 +540,19 @@ class Search:
         of logs are those of the search, which depend on the time of the first process of a kind."""
         processes: List[Optional[Process]] = [None] * len(self.hosts)
         searched = [-1] * len(self.hosts)
+        actions = [*self._prologue, *path]
+        ids = []
+        for action in actions:
+            number = searched[action.node] = self._outcome(searched[action.node], action).process
+            ids.append(self.processes[number].log_id)
         try:
-            for number, action in enumerate([*self._prologue, *path]):
-                node = action.node
-                for host in self.hosts:
-                    host.mono = None
-                searched[node] = self._outcome(searched[node], action).process
+            for number, (action, log_id) in enumerate(zip(actions, ids)):
                 for host in self.hosts:
                     host.mono = number
-                renew = partialmethod(_renew_log_id, self.processes[searched[node]].log_id)
+                renew = partialmethod(_renew_log_id, log_id)
                 with mock.patch.object(Membership, "_renew_log_id", renew):
-                    processes[node] = self.play(processes[node], action).process
+                    process = self.play(processes[action.node], action).process
+                processes[action.node] = process
         finally:
             for host in self.hosts:
                 host.mono = None

@@ -107,10 +107,9 @@ def find_needs(
         if found.fit is None:
             yield from need("duration", place, found.n, None)
             continue
-        low, high = found.fit.interval
         mean = found.fit.duration.mean
         if mean > 0:
-            yield from need("duration", place, found.n, (high - low) / 2 / mean)
+            yield from need("duration", place, found.n, _half(found.fit) / mean)
         if len(found.outcomes) > 1:
             least = max(found.outcomes.values(), key=_half)  # the others are known better
             yield from need("outcomes", place, least.total, _half(least))
@@ -119,8 +118,7 @@ def find_needs(
     for place in unseen:
         yield from need("duration", place, 0, None)
     for name, event in rates.items():
-        low, high = event.interval
-        yield from need("rate", name, event.seen, (high - low) / 2 / event.rate)
+        yield from need("rate", name, event.seen, _half(event) / event.rate)
     for name, seen in rare.items():
         yield from need("rate", name, seen, None)
     for name, arrival in arrivals.arrivals.items():
@@ -131,11 +129,11 @@ def find_needs(
             yield from need("shares", "%s of %s" % (field, name), least.total, _half(least))
     for period in arrivals.day:
         for name, event in period.rates.items():
-            low, high = event.interval
-            half = (high - low) / 2 / event.rate if event.seen else None
+            half = _half(event) / event.rate if event.seen else None
             yield from need("rate", "%s from %d to %d h" % (name, *period.span), event.seen, half)
 
 
-def _half(share: Any) -> float:
-    low, high = share.interval
+def _half(found: Any) -> float:
+    """Half of its interval."""
+    low, high = found.interval
     return float(high - low) / 2

@@ -21,6 +21,10 @@ MOST_PROOF_ROWS = 20_000
 """Most steps through the rows of a policy."""
 
 
+_Ranked = Tuple[int, Tuple[Formula, ...], Sequence[int], List[Formula]]
+"""See :meth:`RowsOfPlaces.by_precedence`."""
+
+
 class RowsOfPlaces:
     """The rows of a policy that decide for each place of ``net``, by precedence."""
 
@@ -29,9 +33,7 @@ class RowsOfPlaces:
         self._policy, self._net, self._table, self._original = policy, net, table, original
         self._steps = 0
         self._matches: Dict[int, Formula] = {}  # scope -> one of its rows matches
-        self._ranked: Dict[
-            int, List[Tuple[int, Tuple[Formula, ...], Sequence[int], List[Formula]]]
-        ] = {}
+        self._ranked: Dict[int, List[_Ranked]] = {}
         self._cells = [tuple(self._row_cells(row)) for row in policy.rows]
 
     def scope(self, p: int) -> int:
@@ -85,9 +87,7 @@ class RowsOfPlaces:
         for number in self._table.deciding(place):
             yield number, sorted(t for t, _ in self._table.choices_of_row(number, place))
 
-    def by_precedence(
-        self, p: int
-    ) -> List[Tuple[int, Tuple[Formula, ...], Sequence[int], List[Formula]]]:
+    def by_precedence(self, p: int) -> List[_Ranked]:
         """The rows of :meth:`of`, each with what it asks for, what it lets robots choose, and that
         rows which take precedence match.
 

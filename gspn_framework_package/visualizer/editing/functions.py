@@ -232,7 +232,8 @@ def _put(old: bytes, function: str, text: str) -> bytes:
 
 def _differs_only_in(function: str, node: ast.FunctionDef, old: bytes, new: bytes) -> bool:
     """Whether the new content means what the old one does, with the function as in ``node``."""
-    wanted = [ast.dump(each) for each in _tree(old).body]
-    at = [n for n, each in enumerate(_tree(old).body) if getattr(each, "name", "") == function]
+    body = _tree(old).body
+    wanted = [ast.dump(each) for each in body]
+    at = [n for n, each in enumerate(body) if getattr(each, "name", "") == function]
     wanted[slice(at[0], at[0] + 1) if at else slice(len(wanted), None)] = [ast.dump(node)]
     return [ast.dump(each) for each in _tree(new).body] == wanted

@@ -15,7 +15,7 @@ import { iconOf } from "./icons.js";
 import { Files } from "./files.js";
 import { actOnChoice } from "./menus.js";
 import { problemOfArc } from "./net_edits.js";
-import { Palette } from "./palette.js";
+import { CommonParts } from "./common_parts.js";
 import { PlanDocument } from "./plan_document.js";
 import { WhatHappens } from "./what_happens.js";
 import { Witness } from "./witness.js";
@@ -35,7 +35,7 @@ const PARTS = [
   Files,
   Together,
   Beginning,
-  Palette,
+  CommonParts,
 ];
 
 /** The names of the groups of the tool bar, in their order. */

@@ -62,7 +62,7 @@ function pictureOf({ places, transitions, arcs }) {
   );
 }
 
-export class Palette {
+export class CommonParts {
   constructor(mode) {
     const { actions, canvas } = mode;
     let dragged = null;
