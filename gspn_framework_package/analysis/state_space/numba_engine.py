@@ -74,11 +74,12 @@ def explore(
 ) -> RawGraph:
     """The reachability graph of ``packed``; the parameters are those of ``numpy_engine``.
 
-    :param cores: number of cores; 0: as many as numba may use, at most 8.
+    :param cores: number of cores, at most 8; 0: as many as there are.
     :param room: the exploration ends when it is used up.
     """
     transitions = len(packed.order)
-    cores = cores or int(os.environ.get("NUMBA_NUM_THREADS") or len(os.sched_getaffinity(0)))
+    wanted = os.environ.get("NUMBA_NUM_THREADS", "")  # numba ignores what is no number, too
+    cores = cores or int(wanted if wanted.isdigit() else 0) or len(os.sched_getaffinity(0))
     cores = min(cores, _CORES)
     share = max(_BLOCK, min(_SHARE, _SHARE_ARCS // max(transitions, 1)))
     narrow = min(_NARROW, share)
