@@ -87,7 +87,7 @@ def _circle(parts: Sequence[_Part], robots: int) -> WaitingCircle:
 
 
 def _largest(parts: Iterable[_Part]) -> List[_Part]:
-    """The parts that lie in no other one that holds a single robot, and so is full with them."""
+    """The parts but for those inside another one that has room for a single robot."""
     found: List[_Part] = []
     for part in sorted(parts, key=lambda part: (part.capacity, -len(part.nodes))):
         if not any(
@@ -146,7 +146,7 @@ def _joined(parts: Sequence[_Part], pairs: Sequence[Tuple[int, int]]) -> List[_P
 
 
 def _arcs(follow: Sequence[Set[int]], weights: Mapping[int, int]) -> sparse.csr_matrix:
-    """The arcs between some parts, with the weight of the part where each leads."""
+    """The arcs between some parts; each has the weight of the part it leads to."""
     index = {number: k for k, number in enumerate(weights)}
     arcs = [(index[h], index[z], weights[z]) for h in weights for z in follow[h] if z in weights]
     sources, targets, values = zip(*arcs) if arcs else ((), (), ())

@@ -51,7 +51,7 @@ class TimedAttempt(NamedTuple):
     :ivar columns: those of its phases, in which robots are doing.
     :ivar rates: the rates of the phases (1/s).
     :ivar following: for each phase the column after it; -1: the attempt ends.
-    :ivar duration: how long it takes, for people in the words ``what``.
+    :ivar duration: how long it takes; messages call this ``what``.
     """
 
     columns: Tuple[int, ...]

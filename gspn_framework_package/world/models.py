@@ -137,7 +137,7 @@ class Models:
     def delete(self, name: str) -> None:
         """Take a model out of the room. :raises ValueError: there is none, or it is a robot."""
         if name in self._physics.robots:
-            raise ValueError("%s is a robot of the world, which stays" % name)
+            raise ValueError("%s is a robot of the world and cannot be removed" % name)
         self.placed(name)
         self._remove(self._models.pop(name))
         self._changed()

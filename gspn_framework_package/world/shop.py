@@ -54,7 +54,7 @@ class CustomerOrder:
     pose: Pose
 
     def to_json(self) -> Dict[str, Any]:
-        """The order as customers send it, with the pose in the form of ROS."""
+        """The order as a customer sends it, with the pose as a ROS message in JSON."""
         half = self.pose.yaw / 2
         return {
             "id": self.id,

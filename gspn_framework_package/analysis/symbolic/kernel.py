@@ -107,7 +107,7 @@ def recall(keys: Numbers, values: Numbers, a: int, b: int) -> int:
 
 
 def remember(st: Numbers, keys: Numbers, values: Numbers, a: int, b: int, result: int) -> None:
-    """Store a result; it takes the place of another."""
+    """Store a result, in place of an earlier one."""
     slot = pair_hash(a, b) & (len(keys) - 1)
     if keys[slot] != 0:
         st[FORGOTTEN] += 1
