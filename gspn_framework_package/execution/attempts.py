@@ -17,7 +17,7 @@ out.
 from __future__ import annotations
 
 from collections import Counter
-from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple, Union
+from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Set, Tuple, Union
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.event_log import LogClock, Record
@@ -58,10 +58,10 @@ class _Count:
         self.hours: Dict[int, Tuple[int, float]] = {}
         self.data: Dict[str, Counter[Union[str, int]]] = {}
 
-    def expose(self, seconds: float, by_hour: Sequence[Tuple[int, float]], times: int) -> None:
-        """Add a time in which it could occur, ``times`` times as often."""
+    def expose(self, seconds: float, clock: LogClock, times: int) -> None:
+        """Add the last seconds on a clock, in which it could occur, ``times`` times as often."""
         self.exposure += times * seconds
-        for hour, part in by_hour:
+        for hour, part in clock.by_hour(seconds):
             firings, exposure = self.hours.get(hour, (0, 0.0))
             self.hours[hour] = firings, exposure + times * part
 
@@ -410,7 +410,7 @@ class AttemptFollower:
         state = self._replayer.state
         if state.ended is not None or not state.robots:
             return
-        net, by_hour = self.plan.net, list(self._clock.by_hour(seconds))
+        net = self.plan.net
         for t, count in self._counted.items():
             if t in self._interrupts or t in self._arrivals:
                 times = self._exposed(state, t) if t in self._interrupts else 1
@@ -419,7 +419,7 @@ class AttemptFollower:
             else:
                 times = net.busy_servers(state.marking, t)
             if times:
-                count.expose(seconds, by_hour, times)
+                count.expose(seconds, self._clock, times)
 
     def _exposed(self, state: TeamState, t: int) -> int:
         """The number of robots for which the event of ``t`` can occur now."""

@@ -111,12 +111,22 @@ class OperatorClient:
         :raises ExecutionError: no robot answers, robots of several runs do, or whoever asks may not
             give orders.
         """
-        there = robots_of_run(self.statuses(), run)
-        at = whom_to_order(there, command, robot)
-        answer = self._ask({at: there[at]}, command, robot, argument)[at]
+        at, answer = self.order_one(robots_of_run(self.statuses(), run), command, robot, argument)
         if answer is None:
             raise self.line.silence(at)
         return answer.success, answer.message
+
+    def order_one(
+        self, there: Mapping[str, Dict[str, Any]], command: str, robot: str, argument: str
+    ) -> Tuple[str, Optional[OperatorAnswer]]:
+        """Give an order to one of the robots of a run. No other gets it too: an order that two
+        robots were given might be carried out twice.
+
+        :param there: address -> the status of its robot.
+        :returns: the address of the robot that got it, and its answer; None if it does not answer.
+        """
+        at = whom_to_order(there, command, robot)
+        return at, self._ask({at: there[at]}, command, robot, argument)[at]
 
     def breakpoints(
         self, argument: str, run: str = ""

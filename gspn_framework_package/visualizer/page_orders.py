@@ -9,10 +9,9 @@ from gspn_framework_package.execution.plan_change import stage_of
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.ros.check_all import check_all
-from gspn_framework_package.team.addressing import whom_to_order
 from gspn_framework_package.team.carrier import OperatorRequest
 from gspn_framework_package.team.deploy_team import DeployOutcome, Votes, deploy_to_team
-from gspn_framework_package.team.operator_client import RobotLine, ask_robots
+from gspn_framework_package.team.operator_client import OperatorClient, RobotLine, ask_robots
 from gspn_framework_package.team.orders import ORDERS, PAGE, OrderKind
 from gspn_framework_package.team.verdict import obey
 from gspn_framework_package.visualizer.activity import Handler, RequestFields
@@ -114,12 +113,10 @@ class PageOrders:
         return run
 
     def _order(self, order: PageOrder) -> Dict[str, Any]:
-        """Send an order to a robot of the run that answers. No other robot gets it too: an order
-        that two robots were given might be carried out twice.
+        """Send an order to a robot of the run that answers.
 
         :raises RefusedError: the order was not carried out, or nobody knows whether it was.
         """
-        command, robot, argument = order
         # a busy team may take longer than once
         there = self._answering(self._line) or self._answering(self._line)
         if not there:
@@ -128,13 +125,10 @@ class PageOrders:
                 if self._team.names
                 else "no robot of the run has been heard from yet"
             )
-        at = whom_to_order(there, command, robot)
-        name = there[at]["robot"]
-        request = OperatorRequest(command, robot, argument, self._team.run)
-        answer = ask_robots(self._line, {at: name}, request, LONGEST_ORDER_TIME + 0.2)[at]
+        at, answer = OperatorClient(self._line).order_one(there, *order)
         if answer is None:
             raise RefusedError(
-                "%s was given the order and has not answered" % name,
+                "%s was given the order and has not answered" % there[at]["robot"],
                 hint="see whether the team has carried it out before you repeat it",
             )
         if not answer.success:

@@ -115,7 +115,7 @@ def explore(
             while len(buffers) < len(bounds):
                 buffers.append(_new_buffers(share, transitions, packed.words, targets, labels))
             work: List[Tuple[Any, ...]] = [
-                (width, rules, states.array, table, part, buffer)
+                (width, rules, states.array, table, part, buffer, 0)
                 for part, buffer in zip(bounds, buffers)
             ]
             running = [others.submit(_expand, *arguments) for arguments in work[1:]]
@@ -370,9 +370,10 @@ def _expand(
     table: Words,
     share: Tuple[int, int],
     found: _Buffers,
+    arcs: int,
 ) -> Tuple[int, int, np.uint64]:
     """Expand the states from the first of ``share`` up to the second; the results go into
-    ``found``.
+    ``found``, which has the targets and labels of ``arcs`` arcs already.
 
     Returns the number of arcs, the number of arcs that lead to markings not known yet, and a value
     that keeps the compiler from removing the touching.
@@ -387,7 +388,7 @@ def _expand(
     for w in range(words):
         hit[w] = _ZERO
     touched = _ZERO
-    arcs, misses = 0, 0
+    misses = 0
     for here in range(begin, end, block):
         n = 0
         for s in range(here, min(here + block, end)):
@@ -464,38 +465,23 @@ def _narrow(
         new = (known - explored) * rules.need.shape[0]
         if 2 * (known + new) > len(table) or arcs + new > len(found.targets):
             break
-        targets, labels = found.targets[arcs:], found.labels[arcs:]
-        buffers = _Buffers(
-            targets,
-            labels,
-            found.ends,
-            found.keys,
-            found.arcs,
-            found.overflow,
-            found.batch,
-            found.hashes,
-            found.hit,
-        )
-        more, misses, _ = _expand(width, rules, states, table, (explored, known), buffers)
+        more, misses, _ = _expand(width, rules, states, table, (explored, known), found, arcs)
         over = _ZERO
         for w in range(len(width)):
             over |= found.overflow[w]
         if over != _ZERO:
             break
         for s in range(explored, known):
-            offsets[s + 1] = arcs + found.ends[s - explored]
-        known, explored = (
-            _enter(
-                width,
-                table,
-                states,
-                known,
-                found.keys[:misses],
-                found.arcs[:misses],
-                targets,
-                found.hashes,
-            ),
+            offsets[s + 1] = found.ends[s - explored]
+        more_known = _enter(
+            width,
+            table,
+            states,
             known,
+            found.keys[:misses],
+            found.arcs[:misses],
+            found.targets,
+            found.hashes,
         )
-        arcs += more
+        explored, known, arcs = known, more_known, more
     return explored, known, arcs
