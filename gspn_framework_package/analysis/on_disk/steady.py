@@ -10,7 +10,6 @@ from scipy import sparse
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats
 from gspn_framework_package.analysis.on_disk.chain import OnDiskChain
-from gspn_framework_package.analysis.on_disk.long_run import LongRun, recurrent_states
 from gspn_framework_package.analysis.on_disk.scratch import ScratchVector
 from gspn_framework_package.analysis.solution.anderson import ANDERSON_DEPTH
 from gspn_framework_package.analysis.solution.linear import (
@@ -21,7 +20,7 @@ from gspn_framework_package.analysis.solution.linear import (
     solve_linear,
     sweep_rows,
 )
-from gspn_framework_package.analysis.solution.measures import Measures
+from gspn_framework_package.analysis.solution.measures import Measures, waiting_times
 from gspn_framework_package.analysis.state_space.marking_store import PackedStore
 from gspn_framework_package.analysis.state_space.numpy_engine import enabled
 from gspn_framework_package.analysis.state_space.rated_graph import firing_rate
@@ -41,31 +40,65 @@ def steady_state_on_disk(
     :raises RefusedError: the chain may end in one of several recurrent classes.
     :raises LimitError: the linear system was not solved, or the disk is full.
     """
-    found = long_run(chain, watch, direct)
+    dead = np.zeros(len(chain), dtype=bool)
+    for part, exits in _with_exits(chain):
+        dead[part] = exits == 0
+    recurs = _recurrent(chain, dead)
+    recurrent = int(recurs.sum())
+    if recurrent == 1:
+        found = LinearSolution(recurs.astype(np.float64), 0.0, "LU")
+    else:
+        found = (_solved_in_memory if recurrent <= direct else _solved)(chain, recurs, watch)
     net, space = chain.space.net, chain.space
     means, rates, distributions = _measured(chain, found.values, watch)
     best = int(found.values.argmax())
     marking = space.packed.unpack(space.code.decode(chain.tangible.read(best, best + 1)))[0]
-    likeliest = net.named(tuple(marking.tolist()), zeros=False)
-    return found.answers(net, means, rates, distributions, likeliest)
+    names = [place.name for place in net.places]
+    mean_tokens = dict(zip(names, means))
+    throughput = {t.name: value for t, value in zip(net.transitions, rates)}
+    deadlock = bool(dead.any())
+    only = {"states": recurrent, "probability": 1.0, "deadlock": deadlock, "alike": 1}
+    return {
+        "mean_tokens": mean_tokens,
+        "throughput": throughput,
+        "token_distribution": {
+            name: {str(count): value for count, value in counts.items()}
+            for name, counts in zip(names, distributions)
+        },
+        "mean_waiting_time": waiting_times(net, mean_tokens, throughput),
+        "residual": found.residual,
+        "method": found.method,
+        "components": [{**only, "marking": net.named(tuple(marking.tolist()), zeros=False)}],
+        "component_count": 1,
+        "deadlock_count": int(deadlock),
+        "probability_of_other_components": 0.0,
+    }
 
 
-def long_run(chain: OnDiskChain, watch: Watch, direct: int = DIRECT_SIZE) -> LongRun:
-    """Where the chain is in the long run; see :func:`steady_state_on_disk`."""
-    dead = np.zeros(len(chain), dtype=bool)
-    for part, exits in _with_exits(chain):
-        dead[part] = exits == 0
-    recurs = recurrent_states(dead, chain.initial, chain.reaching, chain.reached)
-    if recurs is None:
-        raise RefusedError(
-            "the chain may end in one of several recurrent classes",
-            hint="raise --memory until the whole chain fits",
-        )
-    recurrent = int(recurs.sum())
-    if recurrent == 1:
-        return LongRun(recurs.astype(np.float64), 1, bool(dead.any()), 0.0, "LU")
-    found = (_solved_in_memory if recurrent <= direct else _solved)(chain, recurs, watch)
-    return LongRun(found.values, recurrent, False, found.residual, found.method)
+def _recurrent(chain: OnDiskChain, dead: Booleans) -> Booleans:
+    """Boolean array: which states recur.
+
+    :param dead: boolean array: the states that nothing leaves.
+    :raises RefusedError: there are several recurrent classes.
+    """
+    begins_there = False
+    if dead.any():
+        state = int(np.flatnonzero(dead)[-1])
+    else:
+        # the initial state if it is tangible, since it reaches all others
+        begins_there = bool(chain.initial.any())
+        state = int(np.flatnonzero(chain.initial)[-1]) if begins_there else 0
+    while True:
+        lead_there = chain.reaching(state)
+        if lead_there.all():
+            return lead_there if begins_there else chain.reached(state)
+        left = np.flatnonzero(chain.reached(state) & ~lead_there)
+        if not len(left):  # it is recurrent, and some states never lead to it
+            raise RefusedError(
+                "the chain may end in one of several recurrent classes",
+                hint="raise --memory until the whole chain fits",
+            )
+        state, begins_there = int(left[-1]), False
 
 
 def _with_exits(chain: OnDiskChain) -> Iterator[Tuple[slice, Floats]]:

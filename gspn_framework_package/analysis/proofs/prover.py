@@ -41,7 +41,7 @@ from gspn_framework_package.analysis.proofs.checker import (
     guard,
 )
 from gspn_framework_package.analysis.structure.invariants import Invariant, place_invariants
-from gspn_framework_package.analysis.structure.siphons import Directions, largest_trap
+from gspn_framework_package.analysis.structure.siphons import Directions, largest_set
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Net
@@ -262,7 +262,10 @@ class Prover:
         net = self._net
         self._arcs = self._arcs or Directions(net)
         empty = [place.name for place, n in zip(net.places, point) if n < 0.5]
-        places = [net.place_number(name) for name in largest_trap(net, empty, arcs=self._arcs)]
+        places = [
+            net.place_number(name)
+            for name in largest_set(net, empty, kind="traps", arcs=self._arcs)
+        ]
         if not any(net.places[p].tokens for p in places):
             return None
         number = self._add(Some((Atom(tuple((p, 1) for p in places), 1),)))

@@ -45,9 +45,8 @@ from gspn_framework_package.analysis.structure.invariants import (
 from gspn_framework_package.analysis.structure.siphons import (
     Directions,
     PlaceSet,
-    largest_siphon,
-    minimal_siphons,
-    minimal_traps,
+    largest_set,
+    minimal_sets,
     unguarded_siphon,
 )
 from gspn_framework_package.analysis.watch import Watch
@@ -194,12 +193,12 @@ class Structure:
     @property
     def siphons(self) -> List[PlaceSet]:
         """The minimal siphons."""
-        return self._search("siphons", partial(minimal_siphons, arcs=self._arcs))
+        return self._search("siphons", partial(minimal_sets, kind="siphons", arcs=self._arcs))
 
     @property
     def traps(self) -> List[PlaceSet]:
         """The minimal traps."""
-        return self._search("traps", partial(minimal_traps, arcs=self._arcs))
+        return self._search("traps", partial(minimal_sets, kind="traps", arcs=self._arcs))
 
     @property
     def unguarded_siphon(self) -> Optional[PlaceSet]:
@@ -218,7 +217,7 @@ class Structure:
     def unmarked_siphon(self) -> Tuple[str, ...]:
         """The places of the largest unmarked siphon: none of them ever gets a token."""
         empty = [place.name for place in self.net.places if not place.tokens]
-        return largest_siphon(self.net, empty, arcs=self._arcs)
+        return largest_set(self.net, empty, kind="siphons", arcs=self._arcs)
 
     @cached_property
     def _arcs(self) -> Directions:

@@ -40,54 +40,33 @@ class PlaceSet(NamedTuple):
     marked: bool
 
 
-def minimal_siphons(
+def minimal_sets(
     net: Net,
     limit: int = STRUCTURE_LIMIT,
     watch: Optional[Watch] = None,
     *,
+    kind: str,
     arcs: Optional[Directions] = None,
 ) -> List[PlaceSet]:
-    """The minimal siphons, by size.
+    """The minimal siphons or traps, by size.
 
+    :param kind: ``siphons`` or ``traps``.
     :param arcs: the arcs of the net, if known.
     :raises LimitError: the search took more than ``limit`` steps.
     """
-    return _listed(net, (arcs or Directions(net)).siphons, Effort(limit, watch))
+    rules = getattr(arcs or Directions(net), kind)
+    return _named(net, _minimal_sets(rules, Effort(limit, watch)))
 
 
-def minimal_traps(
-    net: Net,
-    limit: int = STRUCTURE_LIMIT,
-    watch: Optional[Watch] = None,
-    *,
-    arcs: Optional[Directions] = None,
-) -> List[PlaceSet]:
-    """The minimal traps, by size.
-
-    :param arcs: the arcs of the net, if known.
-    :raises LimitError: the search took more than ``limit`` steps.
-    """
-    return _listed(net, (arcs or Directions(net)).traps, Effort(limit, watch))
-
-
-def largest_siphon(
-    net: Net, within: Iterable[str], *, arcs: Optional[Directions] = None
+def largest_set(
+    net: Net, within: Iterable[str], *, kind: str, arcs: Optional[Directions] = None
 ) -> Tuple[str, ...]:
-    """The largest siphon inside a set of places (names), in the order of the net; it may be empty.
-
-    :param arcs: the arcs of the net, if known.
-    """
-    return _largest(net, (arcs or Directions(net)).siphons, within)
-
-
-def largest_trap(
-    net: Net, within: Iterable[str], *, arcs: Optional[Directions] = None
-) -> Tuple[str, ...]:
-    """The largest trap inside a set of places (names), in the order of the net; it may be empty.
-
-    :param arcs: the arcs of the net, if known.
-    """
-    return _largest(net, (arcs or Directions(net)).traps, within)
+    """The largest siphon or trap inside a set of places (names), in the order of the net; it may be
+    empty. Parameters as for :func:`minimal_sets`."""
+    chosen = np.zeros(len(net.places), dtype=bool)
+    chosen[[net.place_number(name) for name in within]] = True
+    inside = _Inside.largest(getattr(arcs or Directions(net), kind), Effort(1 << 62), chosen)
+    return tuple(net.places[p].name for p in inside.numbers())
 
 
 def unguarded_siphon(
@@ -508,17 +487,6 @@ def _shrunk(inside: _Inside) -> Set[int]:
         if closed and needed:
             return needed
     return set(inside.numbers())
-
-
-def _listed(net: Net, rules: _Rules, effort: Effort) -> List[PlaceSet]:
-    return _named(net, _minimal_sets(rules, effort))
-
-
-def _largest(net: Net, rules: _Rules, within: Iterable[str]) -> Tuple[str, ...]:
-    chosen = np.zeros(len(net.places), dtype=bool)
-    chosen[[net.place_number(name) for name in within]] = True
-    inside = _Inside.largest(rules, Effort(1 << 62), chosen)
-    return tuple(net.places[p].name for p in inside.numbers())
 
 
 def _named(net: Net, found: Iterable[Iterable[int]]) -> List[PlaceSet]:

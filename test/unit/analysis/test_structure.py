@@ -21,9 +21,8 @@ from gspn_framework_package.analysis.structure.net_structure import (
     conflict_sets,
 )
 from gspn_framework_package.analysis.structure.siphons import (
-    largest_siphon,
-    minimal_siphons,
-    minimal_traps,
+    largest_set,
+    minimal_sets,
     unguarded_siphon,
 )
 from gspn_framework_package.model.builder import NetBuilder
@@ -123,7 +122,7 @@ def subsets_by_definition(net, feeding, support):
 @relaxed
 @given(bounded_nets(max_places=5, max_transitions=7))
 def test_siphons_and_traps_by_definition(net):
-    siphons, traps = minimal_siphons(net), minimal_traps(net)
+    siphons, traps = minimal_sets(net, kind="siphons"), minimal_sets(net, kind="traps")
     assert {frozenset(s.places) for s in siphons} == subsets_by_definition(
         net, net.producers, net.inputs
     )
@@ -140,13 +139,16 @@ def test_what_is_decided_without_a_list(net, numbers):
     names = [p.name for i, p in enumerate(net.places) if i in numbers]
     siphons = sets_by_definition(net, net.producers, net.inputs)
     inside = [s for s in siphons if s <= set(names)]
-    assert set(largest_siphon(net, names)) == set().union(*inside)
+    assert set(largest_set(net, names, kind="siphons")) == set().union(*inside)
     traps = sets_by_definition(net, net.consumers, net.outputs)
 
     def is_guarded(siphon):
         return any(trap <= siphon and any(net.place(p).tokens for p in trap) for trap in traps)
 
-    for found in (unguarded_siphon(net), unguarded_siphon(net, minimal=minimal_siphons(net))):
+    for found in (
+        unguarded_siphon(net),
+        unguarded_siphon(net, minimal=minimal_sets(net, kind="siphons")),
+    ):
         if found is None:
             assert all(is_guarded(s) for s in siphons)
         else:
@@ -270,7 +272,7 @@ def test_limits_are_said():
     with pytest.raises(LimitError, match="too much work"):
         place_invariants(net, limit=1000)
     with pytest.raises(LimitError, match="too much work"):
-        minimal_siphons(net, limit=1000)
+        minimal_sets(net, limit=1000, kind="siphons")
     assert invariant_bounds(net, limit=1000) == (None,) * 36
 
 
