@@ -20,7 +20,9 @@ def ring(n: int, tokens: int = 1) -> Net:
 
 def chain(n: int) -> Net:
     """A sequence of ``n`` places, with a token that ends in the last."""
-    return ring(n).without_transition("t%d" % (n - 1))
+    whole, last = ring(n), "t%d" % (n - 1)
+    arcs = [arc for arc in whole.arcs if last not in arc[:2]]
+    return Net(whole.places, whole.transitions[:-1], arcs, whole.name)
 
 
 def grid(n: int) -> Net:

@@ -534,11 +534,6 @@ class Net:
         ]
         return Net(self.places, transitions, self.arcs, self.name) if rates else self
 
-    def without_place(self, name: str) -> Net:
-        """Return the net without a place and its arcs ("delete place", thesis 4.3.5)."""
-        self.place_number(name)
-        return self.without_places([name])
-
     def without_places(self, names: Iterable[str]) -> Net:
         """Return the net without these places and their arcs."""
         gone = set(names)
@@ -582,26 +577,6 @@ class Net:
         net._index_capacities()
         net.initial_marking = tuple([self.initial_marking[p] for p in kept])
         return net
-
-    def without_transition(self, name: str) -> Net:
-        """Return the net without a transition and its arcs ("delete transition", thesis 4.3.5)."""
-        self.transition_number(name)
-        return Net(
-            self.places,
-            [t for t in self.transitions if t.name != name],
-            [a for a in self.arcs if name not in (a.source, a.target)],
-            self.name,
-        )
-
-    def without_arc(self, source: str, target: str, *, inhibitor: bool = False) -> Net:
-        """Return the net without the arcs from ``source`` to ``target``. :raises NetError: there
-        is no such arc."""
-        kept = [
-            a for a in self.arcs if (a.source, a.target, a.inhibitor) != (source, target, inhibitor)
-        ]
-        if len(kept) == len(self.arcs):
-            raise NetError("there is no arc from '%s' to '%s'" % (source, target))
-        return Net(self.places, self.transitions, kept, self.name)
 
     # -- values ------------------------------------------------------------------------------------
 

@@ -161,4 +161,9 @@ def untimed(plan: Plan, limit: int, losses: bool) -> FrozenSet[Marking]:
     if not found.complete:
         raise TooManyStatesError
     ways = found._ways_with_losses if losses else found._ways
-    return frozenset(map(tuple, found.full_markings(np.flatnonzero(ways.reached)).tolist()))
+    states = np.flatnonzero(ways.reached)
+    whole = np.zeros((len(states), len(plan.net.places)), dtype=np.int64)
+    whole[:, [found.original(p) for p in range(len(found.net.places))]] = found.space.markings(
+        states
+    )
+    return frozenset(map(tuple, whole.tolist()))

@@ -9,7 +9,8 @@
 ...        .exponential("walked", rate=0.5, inputs="far", outputs="choose")
 ...        .exponential("driven", rate=2.0, inputs="near", outputs="choose").build())
 >>> plan = Plan(net, actions={"choose": None}, robots=(RobotSpec("r", "choose"),))
->>> solution = Decisions.of(plan).solve(Objective.long_run({"walked": 1, "driven": 1}))
+>>> aim = Objective.long_run({"walked": 1, "driven": 1})
+>>> solution = Decisions(DecisionProblem(plan)).solve(aim)
 >>> round(solution.lower, 5), round(solution.upper, 5), solution.policy.rows[0].choices
 (2.0, 2.0, (('drive', 1.0),))
 >>> plan.with_policy(solution.policy).policy == solution.policy
@@ -18,7 +19,7 @@ True
 
 from __future__ import annotations
 
-from typing import Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -42,11 +43,8 @@ from gspn_framework_package.analysis.decisions.solving import (
     optimum,
     robust,
 )
-from gspn_framework_package.analysis.limits import Limits
-from gspn_framework_package.analysis.plan.reading import RUN
-from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
+from gspn_framework_package.analysis.watch import Cancel, Watch
 from gspn_framework_package.model.errors import LimitError, RefusedError, UsageError
-from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.policy import Policy
 
 _STRICTER = 6
@@ -102,44 +100,19 @@ class Solution(NamedTuple):
 
 
 class Decisions:
-    """What the robots of a plan can decide; made by :meth:`of`.
+    """What the robots of a plan can decide.
 
-    :ivar problem: the decision problems.
+    :param problem: the decision problems of its teams.
     """
 
-    @classmethod
-    def of(
-        cls,
-        plan: Plan,
-        *,
-        reading: str = RUN,
-        may_wait: Iterable[str] = (),
-        never: Iterable[str] = (),
-        conditions: Iterable[str] = (),
-        team_sizes: Optional[Iterable[int]] = None,
-        limits: Limits = Limits(),  # noqa: B008 (immutable)
-        progress: Optional[Progress] = None,
-        cancel: Optional[Cancel] = None,
-    ) -> Decisions:
-        """The decisions of a plan; see :class:`.problem.DecisionProblem`."""
-        problem = DecisionProblem(
-            plan,
-            reading=reading,
-            may_wait=may_wait,
-            never=never,
-            conditions=conditions,
-            team_sizes=team_sizes,
-            limits=limits,
-            progress=progress,
-            cancel=cancel,
-        )
-        return cls(problem, Watch(progress, cancel, seconds=limits.seconds), cancel)
-
     def __init__(
-        self, problem: DecisionProblem, watch: Watch, cancel: Optional[Cancel] = None
+        self,
+        problem: DecisionProblem,
+        watch: Optional[Watch] = None,
+        cancel: Optional[Cancel] = None,
     ) -> None:
         self.problem = problem
-        self._watch, self._cancel = watch, cancel
+        self._watch, self._cancel = watch or Watch(), cancel
 
     def solve(
         self,

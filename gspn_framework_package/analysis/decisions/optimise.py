@@ -16,6 +16,7 @@ from gspn_framework_package.analysis.decisions.aims import Request
 from gspn_framework_package.analysis.decisions.decisions import Decisions, Solution, TeamSolution
 from gspn_framework_package.analysis.decisions.export import Decided
 from gspn_framework_package.analysis.decisions.grouping import present_choices
+from gspn_framework_package.analysis.decisions.problem import DecisionProblem
 from gspn_framework_package.analysis.decisions.report import (
     MOST_CHOICES,
     ConstraintResult,
@@ -138,7 +139,7 @@ class _Exactly:
         self._plan, self._request = plan, request
         self._objective = request.objective
         self._watch = Watch(progress, cancel, seconds=request.limits.seconds)
-        self._decisions = Decisions.of(
+        self._problem = DecisionProblem(
             plan,
             reading=request.reading,
             may_wait=request.may_wait,
@@ -149,7 +150,8 @@ class _Exactly:
             progress=progress,
             cancel=cancel,
         )
-        self._problem = self._decisions.problem
+        watch = Watch(progress, cancel, seconds=request.limits.seconds)
+        self._decisions = Decisions(self._problem, watch, cancel)
 
     def report(self) -> Report:
         """Solve the problem of each team, and report on the policy."""

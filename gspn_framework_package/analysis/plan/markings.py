@@ -480,14 +480,6 @@ class PlanMarkings:
 
     # -- helpers -----------------------------------------------------------------------------------
 
-    def full_markings(self, states: Indices) -> Indices:
-        """Markings in the place order of the plan's net; omitted places are 0."""
-        full = np.zeros((len(states), len(self.plan.net.places)), dtype=np.int64)
-        full[:, [self._number[p] for p in range(len(self.net.places))]] = self.space.markings(
-            states
-        )
-        return full
-
     def original(self, p: int) -> int:
         """The number, in the plan's net, of place number ``p`` of the explored net."""
         return self._number[p]

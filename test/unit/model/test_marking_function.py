@@ -111,7 +111,7 @@ def test_a_place_that_the_net_does_not_have():
     with pytest.raises(NetError, match="'go': there is no place 'c', which its rate '#c' names"):
         net_with("#c")
     with pytest.raises(NetError, match="names the place 'b', which is taken out"):
-        net_with("1 + #b").without_place("b")
+        net_with("1 + #b").without_places(["b"])
     assert net_with("1 + #b").with_rates({"go": 2}).functions.keys() == {1}
 
 

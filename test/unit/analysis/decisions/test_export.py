@@ -175,7 +175,7 @@ def test_a_small_change_changes_few_rows() -> None:
 def test_robots_wait_where_nothing_is_chosen_and_the_check_finds_no_gap() -> None:
     plan = replace(corridor(), strict=True)
     reached = PlanMarkings(plan, 1000, losses=True)
-    space = reached.full_markings(np.arange(len(reached.space)))
+    space = reached.space.markings(np.arange(len(reached.space)))
     asked: Asked = {
         tuple(m): {} if m[1] == 1 else {"go_left": 0.25, "go_right": 0.75} for m in space.tolist()
     }
