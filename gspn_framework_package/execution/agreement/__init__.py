@@ -38,5 +38,5 @@ docstring of each part's module says what it owns and what it calls:
   people;
 - ``quorum``, ``peers``, ``recent_slots``, ``local_transitions``: the building blocks of these.
 
-Also here: ``deployment``, ``reactions``.
+Also here: ``deployment``, ``reactions``, and ``part``, the base of all that hold the others.
 """

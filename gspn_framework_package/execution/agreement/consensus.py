@@ -22,10 +22,9 @@ chosen batches to the log (:class:`ConsensusLog`).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Dict, List, Mapping, Optional, Protocol, Set, Union
 
-from gspn_framework_package.execution.agreement.config import Config
-from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.messages import (
     MOST_ITEMS,
     Accept,
@@ -37,10 +36,9 @@ from gspn_framework_package.execution.agreement.messages import (
     Promise,
     Torn,
 )
-from gspn_framework_package.execution.agreement.outbox import Outbox
-from gspn_framework_package.execution.agreement.proposals import ProposalQueue
+from gspn_framework_package.execution.agreement.part import ReplicaPart
 from gspn_framework_package.execution.agreement.quorum import Ballot, is_quorum
-from gspn_framework_package.execution.agreement.state import BallotAttempt, ReplicaState
+from gspn_framework_package.execution.agreement.state import BallotAttempt
 
 LONGEST_ROUND_TRIP = 1.0
 """Seconds; a longer response time means that a robot was away, not that the network is slow."""
@@ -63,28 +61,16 @@ class ConsensusLog(Protocol):
         """Take a batch that was chosen in the open slot; ``mine``: by our own attempt."""
 
 
-class Consensus:
+@dataclass(eq=False)
+class Consensus(ReplicaPart):
     """The protocol for the first open slot."""
 
-    def __init__(
-        self,
-        config: Config,
-        state: ReplicaState,
-        outbox: Outbox,
-        electorate: Electorate,
-        proposals: ProposalQueue,
-    ) -> None:
-        self.config = config
-        self.state = state
-        self.outbox = outbox
-        self.electorate = electorate
-        self.proposals = proposals
-        self.log: ConsensusLog
-        state.promised = state.highest = Ballot(0, config.first)
+    def __post_init__(self) -> None:
+        self.state.promised = self.state.highest = Ballot(0, self.config.first)
 
     def connect(self, log: ConsensusLog) -> None:
         """Set the log that receives chosen batches."""
-        self.log = log
+        self.log: ConsensusLog = log
 
     # -- for the other parts -----------------------------------------------------------------------
 

@@ -8,31 +8,13 @@ from __future__ import annotations
 
 from gspn_framework_package.execution import log_entries, plan_change
 from gspn_framework_package.execution.agreement import interface
-from gspn_framework_package.execution.agreement.config import Config
-from gspn_framework_package.execution.agreement.electorate import Electorate
-from gspn_framework_package.execution.agreement.outbox import Outbox
-from gspn_framework_package.execution.agreement.proposals import ProposalQueue
-from gspn_framework_package.execution.agreement.state import ReplicaState
+from gspn_framework_package.execution.agreement.part import ReplicaPart
 from gspn_framework_package.execution.team_state import StagedPlan
 from gspn_framework_package.model.errors import GspnError
 
 
-class Deployment:
+class Deployment(ReplicaPart):
     """Votes on staged plans."""
-
-    def __init__(
-        self,
-        config: Config,
-        state: ReplicaState,
-        outbox: Outbox,
-        electorate: Electorate,
-        proposals: ProposalQueue,
-    ) -> None:
-        self.config = config
-        self.state = state
-        self.outbox = outbox
-        self.electorate = electorate
-        self.proposals = proposals
 
     def want_vote(self) -> None:
         """Have a staged plan examined, and vote once the host has answered."""

@@ -10,16 +10,14 @@ from __future__ import annotations
 import hashlib
 import random
 from collections import Counter, OrderedDict
+from dataclasses import dataclass
 from typing import Any, Dict, List, Mapping, Optional, Tuple, Union
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
-from gspn_framework_package.execution.agreement.config import Config
-from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.local_transitions import LocalTransitions
-from gspn_framework_package.execution.agreement.outbox import Outbox
-from gspn_framework_package.execution.agreement.proposals import ProposalQueue
-from gspn_framework_package.execution.agreement.state import Goal, Position, Proposal, ReplicaState
+from gspn_framework_package.execution.agreement.part import ReplicaPart
+from gspn_framework_package.execution.agreement.state import Goal, Position, Proposal
 from gspn_framework_package.execution.breakpoints import RobotBreakpoints
 from gspn_framework_package.execution.environment import Environment
 from gspn_framework_package.execution.firing import CancelAction, Firing, Move, StartAction
@@ -35,24 +33,13 @@ from gspn_framework_package.model.plan import Plan
 _ActionCommand = Union[StartAction, CancelAction]
 
 
-class LocalRobot:
+@dataclass(eq=False)
+class LocalRobot(ReplicaPart):
     """Turns this robot's results into proposals or local transitions, and the log into goals."""
 
-    def __init__(
-        self,
-        config: Config,
-        state: ReplicaState,
-        outbox: Outbox,
-        electorate: Electorate,
-        proposals: ProposalQueue,
-        breaks: RobotBreakpoints,
-    ) -> None:
-        self.config = config
-        self.state = state
-        self.outbox = outbox
-        self.electorate = electorate
-        self.proposals = proposals
-        self.breaks = breaks
+    breaks: RobotBreakpoints
+
+    def __post_init__(self) -> None:
         self._from: Optional[Position] = None
         """Our robot's position in the log when we last took it over."""
         self._led_to: OrderedDict[Origin, Position] = OrderedDict()
@@ -61,7 +48,7 @@ class LocalRobot:
         """How often they led to each place."""
         self._began: Optional[Tuple[Goal, Plan, str]] = None
         """The last started goal, with its plan and place."""
-        self._take_rules(config.game)
+        self._take_rules(self.config.game)
 
     def _take_rules(self, game: TokenGame) -> None:
         """Apply these rules from now on."""

@@ -14,20 +14,17 @@ over.
 from __future__ import annotations
 
 import hashlib
+from dataclasses import dataclass
 from typing import Dict, List, Protocol, Sequence
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
-from gspn_framework_package.execution.agreement.config import Config
-from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.local_robot import LocalRobot
 from gspn_framework_package.execution.agreement.messages import MOST_ROBOTS, Envelope, Hello, Seen
-from gspn_framework_package.execution.agreement.outbox import Outbox
+from gspn_framework_package.execution.agreement.part import ReplicaPart
 from gspn_framework_package.execution.agreement.peers import Life
-from gspn_framework_package.execution.agreement.proposals import ProposalQueue
 from gspn_framework_package.execution.agreement.proposer import Proposer
 from gspn_framework_package.execution.agreement.quorum import is_quorum
-from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.firing import Ended
 from gspn_framework_package.execution.ledger import Item
@@ -66,31 +63,16 @@ class MembershipLog(Protocol):
         """Keep all slots under a new log id, without the votes."""
 
 
-class Membership:
+@dataclass(eq=False)
+class Membership(ReplicaPart):
     """Sends and receives hellos, and acts on them."""
 
-    def __init__(
-        self,
-        config: Config,
-        state: ReplicaState,
-        outbox: Outbox,
-        electorate: Electorate,
-        proposals: ProposalQueue,
-        proposer: Proposer,
-        robot: LocalRobot,
-    ) -> None:
-        self.config = config
-        self.state = state
-        self.outbox = outbox
-        self.electorate = electorate
-        self.proposals = proposals
-        self.proposer = proposer
-        self.robot = robot
-        self.log: MembershipLog
+    proposer: Proposer
+    robot: LocalRobot
 
     def connect(self, log: MembershipLog) -> None:
         """Set the replicated log."""
-        self.log = log
+        self.log: MembershipLog = log
 
     # -- incarnations and memory -------------------------------------------------------------------
 

@@ -7,43 +7,26 @@ proposals (a forced eviction to the membership), and answers refused orders at o
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import List, Optional
 
 from gspn_framework_package.execution import log_entries, plan_change
 from gspn_framework_package.execution.agreement import interface
-from gspn_framework_package.execution.agreement.config import Config
-from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.membership import Membership
-from gspn_framework_package.execution.agreement.outbox import Outbox
-from gspn_framework_package.execution.agreement.proposals import ProposalQueue
+from gspn_framework_package.execution.agreement.part import ReplicaPart
 from gspn_framework_package.execution.agreement.reactions import Reactions
-from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.event_log import ORDER_GIVEN
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import RobotState, StagedPlan
 from gspn_framework_package.model.errors import GspnError
 
 
-class Orders:
+@dataclass(eq=False)
+class Orders(ReplicaPart):
     """Checks and proposes orders."""
 
-    def __init__(
-        self,
-        config: Config,
-        state: ReplicaState,
-        outbox: Outbox,
-        electorate: Electorate,
-        proposals: ProposalQueue,
-        membership: Membership,
-        reactions: Reactions,
-    ) -> None:
-        self.config = config
-        self.state = state
-        self.outbox = outbox
-        self.electorate = electorate
-        self.proposals = proposals
-        self.membership = membership
-        self.reactions = reactions
+    membership: Membership
+    reactions: Reactions
 
     def order(self, order: interface.Order) -> None:
         """Propose an operator's order if it makes sense."""

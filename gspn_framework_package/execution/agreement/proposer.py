@@ -10,11 +10,10 @@ the electorate, and sends messages through the outbox.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import List, Set
 
-from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.consensus import Consensus
-from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.messages import (
     MOST_ITEMS,
     Accept,
@@ -25,10 +24,8 @@ from gspn_framework_package.execution.agreement.messages import (
     Promise,
     Proposals,
 )
-from gspn_framework_package.execution.agreement.outbox import Outbox
-from gspn_framework_package.execution.agreement.proposals import ProposalQueue
+from gspn_framework_package.execution.agreement.part import ReplicaPart
 from gspn_framework_package.execution.agreement.quorum import Ballot
-from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.chance import uniform
 from gspn_framework_package.model.plan_timing import POLICY
 
@@ -43,24 +40,11 @@ FLUSH_AT = 100
 """Number of waiting local transitions at which a slot is proposed just for them."""
 
 
-class Proposer:
+@dataclass(eq=False)
+class Proposer(ReplicaPart):
     """Acts on the clock and on waiting proposals."""
 
-    def __init__(
-        self,
-        config: Config,
-        state: ReplicaState,
-        outbox: Outbox,
-        electorate: Electorate,
-        proposals: ProposalQueue,
-        consensus: Consensus,
-    ) -> None:
-        self.config = config
-        self.state = state
-        self.outbox = outbox
-        self.electorate = electorate
-        self.proposals = proposals
-        self.consensus = consensus
+    consensus: Consensus
 
     # -- inputs ------------------------------------------------------------------------------------
 

@@ -8,16 +8,13 @@ robot, and is usually proposed once.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Dict, List, Optional, Set, Tuple
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
-from gspn_framework_package.execution.agreement.config import Config
-from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.local_robot import LocalRobot
-from gspn_framework_package.execution.agreement.outbox import Outbox
-from gspn_framework_package.execution.agreement.proposals import ProposalQueue
-from gspn_framework_package.execution.agreement.state import ReplicaState
+from gspn_framework_package.execution.agreement.part import ReplicaPart
 from gspn_framework_package.execution.breakpoints import RobotBreakpoints
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.event_watch import EventWatch, Visit, asked_anew
@@ -29,27 +26,15 @@ OFFERED_LIMIT = 10_000
 """Maximum number of tasks that a robot keeps for a team that does not take them."""
 
 
-class Reactions:
+@dataclass(eq=False)
+class Reactions(ReplicaPart):
     """Events and tasks at this robot."""
 
-    def __init__(
-        self,
-        config: Config,
-        state: ReplicaState,
-        outbox: Outbox,
-        electorate: Electorate,
-        proposals: ProposalQueue,
-        robot: LocalRobot,
-        breaks: RobotBreakpoints,
-    ) -> None:
-        self.config = config
-        self.state = state
-        self.outbox = outbox
-        self.electorate = electorate
-        self.proposals = proposals
-        self.robot = robot
-        self.breaks = breaks
-        self._game = config.game
+    robot: LocalRobot
+    breaks: RobotBreakpoints
+
+    def __post_init__(self) -> None:
+        self._game = self.config.game
         self._watch: Optional[EventWatch] = None
         self._begin_to_watch()
         self._orders: Dict[Tuple[str, str], List[str]] = {}

@@ -6,15 +6,14 @@ consensus), in the order of the log, and lets the membership begin the next life
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Sequence
 
-from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.consensus import Consensus
 from gspn_framework_package.execution.agreement.membership import Membership
-from gspn_framework_package.execution.agreement.proposals import ProposalQueue
+from gspn_framework_package.execution.agreement.part import ReplicaPart
 from gspn_framework_package.execution.agreement.reactions import Reactions
 from gspn_framework_package.execution.agreement.replication import Replication
-from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.model.errors import LogError
 
@@ -25,26 +24,14 @@ OF_REACTIONS = ("offered", "slot", "snapshot")
 OF_CONSENSUS = ("promised", "accepted")
 
 
-class Recovery:
+@dataclass(eq=False)
+class Recovery(ReplicaPart):
     """Passes records to the parts."""
 
-    def __init__(
-        self,
-        config: Config,
-        state: ReplicaState,
-        consensus: Consensus,
-        proposals: ProposalQueue,
-        membership: Membership,
-        replication: Replication,
-        reactions: Reactions,
-    ) -> None:
-        self.config = config
-        self.state = state
-        self.consensus = consensus
-        self.proposals = proposals
-        self.membership = membership
-        self.replication = replication
-        self.reactions = reactions
+    consensus: Consensus
+    membership: Membership
+    replication: Replication
+    reactions: Reactions
 
     def resume(self, records: Sequence[Record]) -> None:
         """Resume from our own log.

@@ -104,26 +104,19 @@ class Replica:
         self.electorate = electorate = Electorate(config, state)
         self.proposals = proposals = ProposalQueue(config, state, outbox, electorate)
         self.breaks = breaks = RobotBreakpoints()
-        self.robot = local = LocalRobot(config, state, outbox, electorate, proposals, breaks)
-        self.consensus = consensus = Consensus(config, state, outbox, electorate, proposals)
-        self.proposer = proposer = Proposer(config, state, outbox, electorate, proposals, consensus)
-        self.membership = membership = Membership(
-            config, state, outbox, electorate, proposals, proposer, local
-        )
-        self.replication = replication = Replication(
-            config, state, outbox, electorate, proposals, proposer, membership, local
-        )
+        known = config, state, outbox, electorate, proposals
+        self.robot = local = LocalRobot(*known, breaks)
+        self.consensus = consensus = Consensus(*known)
+        self.proposer = proposer = Proposer(*known, consensus)
+        self.membership = membership = Membership(*known, proposer, local)
+        self.replication = replication = Replication(*known, proposer, membership, local)
         consensus.connect(replication)
         membership.connect(replication)
-        self.reactions = Reactions(config, state, outbox, electorate, proposals, local, breaks)
-        self.deployment = Deployment(config, state, outbox, electorate, proposals)
-        self.recovery = Recovery(
-            config, state, consensus, proposals, membership, replication, self.reactions
-        )
-        self.orders = Orders(
-            config, state, outbox, electorate, proposals, membership, self.reactions
-        )
-        self.people = Status(config, state, outbox, electorate, consensus, proposer, local)
+        self.reactions = reactions = Reactions(*known, local, breaks)
+        self.deployment = Deployment(*known)
+        self.recovery = Recovery(*known, consensus, membership, replication, reactions)
+        self.orders = Orders(*known, membership, reactions)
+        self.people = Status(*known, consensus, proposer, local)
 
     # -- inputs -----------------------------------------------------------------
 

@@ -9,20 +9,17 @@ the log that consensus and membership need.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Dict, Optional, Sequence, Set, Tuple
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.agreement import interface
-from gspn_framework_package.execution.agreement.config import Config
-from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.local_robot import LocalRobot
 from gspn_framework_package.execution.agreement.membership import Membership
 from gspn_framework_package.execution.agreement.messages import Batch, Chosen, Envelope, Learn, Pull
-from gspn_framework_package.execution.agreement.outbox import Outbox
-from gspn_framework_package.execution.agreement.proposals import ProposalQueue
+from gspn_framework_package.execution.agreement.part import ReplicaPart
 from gspn_framework_package.execution.agreement.proposer import Proposer
 from gspn_framework_package.execution.agreement.quorum import Ballot
-from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.firing import Ended, Fault, StartAction, TaskEnded
 from gspn_framework_package.execution.ledger import Item, Ledger, Origin
@@ -30,28 +27,13 @@ from gspn_framework_package.execution.token_game import Step
 from gspn_framework_package.model.errors import LogError
 
 
-class Replication:
+@dataclass(eq=False)
+class Replication(ReplicaPart):
     """Appends slots to the log, and notifies the other parts."""
 
-    def __init__(
-        self,
-        config: Config,
-        state: ReplicaState,
-        outbox: Outbox,
-        electorate: Electorate,
-        proposals: ProposalQueue,
-        proposer: Proposer,
-        membership: Membership,
-        robot: LocalRobot,
-    ) -> None:
-        self.config = config
-        self.state = state
-        self.outbox = outbox
-        self.electorate = electorate
-        self.proposals = proposals
-        self.proposer = proposer
-        self.membership = membership
-        self.robot = robot
+    proposer: Proposer
+    membership: Membership
+    robot: LocalRobot
 
     # -- decided slots --------------------------------------------------------------------
 

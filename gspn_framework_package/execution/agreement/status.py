@@ -6,41 +6,26 @@ through the outbox.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Dict, List, Optional
 
 from gspn_framework_package.execution.agreement import interface
-from gspn_framework_package.execution.agreement.config import Config
 from gspn_framework_package.execution.agreement.consensus import Consensus
-from gspn_framework_package.execution.agreement.electorate import Electorate
 from gspn_framework_package.execution.agreement.local_robot import LocalRobot
-from gspn_framework_package.execution.agreement.outbox import Outbox
+from gspn_framework_package.execution.agreement.part import ReplicaPart
 from gspn_framework_package.execution.agreement.proposer import Proposer
 from gspn_framework_package.execution.agreement.quorum import is_quorum
-from gspn_framework_package.execution.agreement.state import ReplicaState
 from gspn_framework_package.execution.plan_change import vote_of
 from gspn_framework_package.execution.team_state import RobotState, reported_phase
 
 
-class Status:
+@dataclass(eq=False)
+class Status(ReplicaPart):
     """Reports in words and as JSON."""
 
-    def __init__(
-        self,
-        config: Config,
-        state: ReplicaState,
-        outbox: Outbox,
-        electorate: Electorate,
-        consensus: Consensus,
-        proposer: Proposer,
-        robot: LocalRobot,
-    ) -> None:
-        self.config = config
-        self.state = state
-        self.outbox = outbox
-        self.electorate = electorate
-        self.consensus = consensus
-        self.proposer = proposer
-        self.robot = robot
+    consensus: Consensus
+    proposer: Proposer
+    robot: LocalRobot
 
     def report(self) -> None:
         """Announce what we wait for if that has changed."""

@@ -277,21 +277,18 @@ def test_the_documentation_names_the_owner_of_each_field() -> None:
 
 
 def test_the_documentation_names_whom_each_part_calls() -> None:
-    names = {
-        "LocalRobot": "local_robot",
-        "ProposalQueue": "proposals",
-        "RobotBreakpoints": "breaks",
-        **dict.fromkeys(("ConsensusLog", "MembershipLog"), "log"),
-    }
+    names = {"robot": "local_robot"}
+    parts = {*_table_of_parts(), "breaks", "log", "robot"}
     for part, (_, calls) in _table_of_parts().items():
         if part == "replica":
             continue
         known = {
-            names.get(annotation.id, annotation.id.lower())
+            names.get(node.attr, node.attr)
             for node in ast.walk(ast.parse(_source(part)))
-            if isinstance(node, ast.FunctionDef) and node.name in ("__init__", "connect")
-            for annotation in [a.annotation for a in node.args.args]
-            if isinstance(annotation, ast.Name) and annotation.id not in ("Config", "ReplicaState")
+            if isinstance(node, ast.Attribute)
+            and isinstance(node.value, ast.Name)
+            and node.value.id == "self"
+            and node.attr in parts - {"config", "state"}
         }
         said = {"log" if "Log`" in call else call for call in calls} - {"nobody"}
         assert said == known, part
