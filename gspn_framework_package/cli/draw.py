@@ -95,7 +95,9 @@ def graph_of(
     """
     net = subject.net if isinstance(subject, Plan) else subject
     if what == "net":
-        return net_graph(net, subnets=subject.subnets if isinstance(subject, Plan) else {})
+        if isinstance(subject, Plan):
+            return net_graph(net, subnets=subject.subnets, groups=subject.group_nodes)
+        return net_graph(net)
     if what == "coverability":
         tree = CoverabilityTree(
             net, limit=limit, progress=progress, cancel=cancel, memory=DEFAULT_MEMORY

@@ -6,7 +6,7 @@ Markov chains; :func:`net_graph` uses it to draw nets."""
 from __future__ import annotations
 
 import subprocess
-from typing import Dict, List, Mapping, Optional, Sequence, Tuple, Union
+from typing import Dict, FrozenSet, List, Mapping, Optional, Sequence, Tuple, Union
 
 from gspn_framework_package.formats.routes import Line, NodeBox, Routing, layout
 from gspn_framework_package.model.errors import InputError, LimitError, UsageError
@@ -49,7 +49,7 @@ class Graph:
     def __init__(self, name: str = "", **attributes: Attribute) -> None:
         self.name = name
         self._lines: List[str] = []
-        self._open = 0
+        self._open = self._boxes = 0
         if attributes:
             self._lines.append("graph%s;" % _attributes(attributes))
 
@@ -69,7 +69,6 @@ class Graph:
 
     def cluster(
         self,
-        number: int,
         label: str,
         nodes: Sequence[str],
         parents: int,
@@ -81,7 +80,8 @@ class Graph:
         :param at: where the box and its label are, if nodes have positions.
         """
         self.close(parents)
-        self._lines.append("subgraph %s {" % _quote("cluster_%d" % number))
+        self._lines.append("subgraph %s {" % _quote("cluster_%d" % self._boxes))
+        self._boxes += 1
         self._open += 1
         # a shade instead of a line, which could cross names, since Graphviz leaves no room for them
         look = {"label": label, "style": "rounded,filled", "fillcolor": _SHADE, "color": "none"}
@@ -114,7 +114,10 @@ def _attributes(values: Mapping[str, Attribute]) -> str:
 
 
 def net_graph(
-    net: Net, marking: Optional[Sequence[int]] = None, subnets: Mapping[str, Subnet] = {}
+    net: Net,
+    marking: Optional[Sequence[int]] = None,
+    subnets: Mapping[str, Subnet] = {},
+    groups: Mapping[str, Sequence[str]] = {},
 ) -> Graph:
     """Draw a net as a graph. Places are circles with their tokens, immediate transitions are black
     and thin, exponential ones are white and thick, and inhibitor arcs end in a circle. Rates,
@@ -125,6 +128,7 @@ def net_graph(
 
     :param marking: the tokens to show, in place order; the initial marking by default.
     :param subnets: the parts of the net to draw a box around.
+    :param groups: nodes to draw a box around, by its title.
     """
     nodes = len(net.places) + len(net.transitions)
     positions = _unfolded(_positions(net), subnets)
@@ -134,7 +138,7 @@ def net_graph(
         attributes.update(layout="nop2", notranslate="true", outputorder="edgesfirst")
     elif positions:
         attributes.update(layout="neato", inputscale=72, splines="true", notranslate="true")
-    elif nodes > _MAX_LAYERED and not subnets:
+    elif nodes > _MAX_LAYERED and not (subnets or groups):
         attributes.update(layout="sfdp", overlap="prism", splines="false")
     else:
         attributes.update(layout="dot", rankdir="LR", nodesep=0.5, ranksep=0.5)
@@ -168,23 +172,38 @@ def net_graph(
             if route.label is not None:
                 looks["lp"] = _point(route.label)
         graph.edge(arc.source, arc.target, **looks)
-    _draw_boxes(graph, subnets, positions)
+    boxes = [(name, (*subnet.places, *subnet.transitions)) for name, subnet in subnets.items()]
+    boxes += [(title, tuple(nodes)) for title, nodes in groups.items()]
+    _draw_boxes(graph, sorted(boxes, key=lambda box: -len(box[1])), positions)
+    graph.close()
     return graph
 
 
 def _draw_boxes(
-    graph: Graph, subnets: Mapping[str, Subnet], positions: Mapping[str, Point]
+    graph: Graph,
+    boxes: Sequence[Tuple[str, Tuple[str, ...]]],
+    positions: Mapping[str, Point],
+    depth: int = 0,
 ) -> None:
-    def draw(parent: str, depth: int) -> None:
-        for number, (name, subnet) in enumerate(subnets.items()):
-            if subnet.parent == parent:
-                nodes = (*subnet.places, *subnet.transitions)
-                spots = [positions[node] for node in nodes] if positions else []
-                graph.cluster(number, name, nodes, depth, _box(spots))
-                draw(name, depth + 1)
+    """Draw boxes with titles around nodes, the larger ones first; ``depth`` boxes stay open."""
+    left = list(boxes)
+    while left:
+        title, nodes = left.pop(0)
+        around = {*nodes}
+        inside = [box for box in left if around.issuperset(box[1])]
+        spots = [positions[node] for node in nodes] if positions else []
+        graph.cluster(title, nodes, depth, _box(spots, _levels(inside)))
+        _draw_boxes(graph, inside, positions, depth + 1)
+        left = [box for box in left if not around.issuperset(box[1])]
 
-    draw("", 0)
-    graph.close()
+
+def _levels(boxes: Sequence[Tuple[str, Tuple[str, ...]]]) -> int:
+    """How deeply boxes are nested, of which the larger ones come first."""
+    levels: List[Tuple[int, FrozenSet[str]]] = []
+    for _, nodes in reversed(boxes):
+        around = frozenset(nodes)
+        levels.append((1 + max((n for n, box in levels if box <= around), default=0), around))
+    return max((n for n, _ in levels), default=0)
 
 
 def to_bytes(net: Net) -> bytes:
@@ -219,13 +238,15 @@ def _unfolded(positions: Mapping[str, Point], subnets: Mapping[str, Subnet]) -> 
     return {name: (x, y) for name, (x, y) in at.items()}
 
 
-def _box(spots: Sequence[Point]) -> Dict[str, Attribute]:
-    """The box around nodes that are drawn there, with its label at the top; of none, nowhere."""
+def _box(spots: Sequence[Point], levels: int) -> Dict[str, Attribute]:
+    """The box around nodes that are drawn there, and around so many levels of boxes, with its
+    label at the top; of no nodes, nowhere."""
     if not spots:
         return {}
     (left, right), (top, bottom) = ((min(v), max(v)) for v in zip(*spots))
-    box = (left - 40, -bottom - 40, right + 40, 60 - top)
-    return {"bb": "%.2f,%.2f,%.2f,%.2f" % box, "lp": _point(((left + right) / 2, 48 - top))}
+    side, above = 40 + 8 * levels, 60 + 20 * levels
+    box = (left - side, -bottom - side, right + side, above - top)
+    return {"bb": "%.2f,%.2f,%.2f,%.2f" % box, "lp": _point(((left + right) / 2, above - 12 - top))}
 
 
 def _at(name: str, positions: Mapping[str, Point]) -> Dict[str, Attribute]:

@@ -91,9 +91,12 @@ def is_container(value: Any) -> bool:
 
 
 def has_records(value: Any) -> bool:
-    """Whether there is a list of several objects in a JSON value."""
+    """Whether there is a list of several objects, or an object of several lists (groups), in a
+    JSON value."""
     if isinstance(value, dict):
-        return any(map(has_records, value.values()))
+        members = value.values()
+        lists = len(value) > 1 and all(isinstance(member, (list, tuple)) for member in members)
+        return lists or any(map(has_records, members))
     if not isinstance(value, (list, tuple)):
         return False
     return sum(isinstance(item, dict) for item in value) > 1 or any(map(has_records, value))

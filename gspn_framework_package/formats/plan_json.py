@@ -187,6 +187,7 @@ def plan_from_json(
         events={t: EventSource.from_json(e) for t, e in data.get("events", {}).items()},
         tasks=Tasks.from_json(data.get("tasks", {})),
         subnets={name: Subnet.from_json(s) for name, s in data.get("subnets", {}).items()},
+        groups={name: tuple(nodes) for name, nodes in data.get("groups", {}).items()},
         cancel_grace=float(data.get("cancel_grace", Plan.cancel_grace)),
         timing=Timing(
             float(agreement.get("evict_after", Timing().evict_after)),
@@ -355,6 +356,8 @@ def plan_to_json(plan: Plan) -> Dict[str, Any]:
         data["tasks"] = plan.tasks.to_json()
     if plan.subnets:
         data["subnets"] = {name: subnet.to_json() for name, subnet in plan.subnets.items()}
+    if plan.groups:
+        data["groups"] = {name: list(nodes) for name, nodes in plan.groups.items()}
     if plan.cancel_grace != Plan.cancel_grace:
         data["cancel_grace"] = plan.cancel_grace
     if plan.chance:

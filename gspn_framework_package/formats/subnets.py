@@ -408,6 +408,7 @@ def _with(plan: Plan, part: SubnetPart) -> Plan:
                 **plan.tasks.order,
             },
         ),
+        groups={**_groups(part), **plan.groups},
         notes=plan.notes + tuple("%s: %s" % (part.name, note) for note in inner.notes),
     )
 
@@ -436,6 +437,19 @@ def _function(function: str, part: SubnetPart) -> str:
     if part.folder == ".":
         return function
     return posixpath.normpath(posixpath.join(part.folder, function))
+
+
+def _groups(part: SubnetPart) -> Dict[str, Tuple[str, ...]]:
+    """The groups of a subnet, without the places that belong to the plan around it."""
+    names = {n: part.name + SEPARATOR + n for n in part.plan.subnets}
+    names.update(part.names)
+    found = {
+        part.name + SEPARATOR + title: tuple(
+            names[node] for node in nodes if names[node] not in part.shared
+        )
+        for title, nodes in part.plan.groups.items()
+    }
+    return {title: nodes for title, nodes in found.items() if nodes}
 
 
 def _subnets(net: Net, part: SubnetPart) -> List[Tuple[str, Subnet]]:

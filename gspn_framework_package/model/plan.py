@@ -193,6 +193,8 @@ class Plan:
     :ivar events: exponential transition -> the event that fires it.
     :ivar tasks: the places where tasks queue, and the transitions at which they are done.
     :ivar subnets: name -> the part of the net that came from another plan.
+    :ivar groups: title -> nodes that are drawn in one box; the name of a subnet stands for its
+        nodes. Not part of :meth:`hash`.
     :ivar cancel_grace: seconds that the server of an interrupted action has to end it before a
         fault is reported.
     :ivar timing: times of the agreement protocol.
@@ -232,6 +234,7 @@ class Plan:
     events: Mapping[str, EventSource] = field(default_factory=dict)
     tasks: Tasks = Tasks()
     subnets: Mapping[str, Subnet] = field(default_factory=dict)
+    groups: Mapping[str, Tuple[str, ...]] = field(default_factory=dict)
     cancel_grace: float = 5.0
     timing: Timing = Timing()
     fsync: bool = False
@@ -313,6 +316,16 @@ class Plan:
             if place in subnet.places and len(name) > len(found):
                 found = name
         return found
+
+    @property
+    def group_nodes(self) -> Dict[str, Tuple[str, ...]]:
+        """Group -> its nodes of the net, with those of a subnet in place of its name."""
+
+        def nodes(member: str) -> Tuple[str, ...]:
+            subnet = self.subnets.get(member)
+            return (*subnet.places, *subnet.transitions) if subnet is not None else (member,)
+
+        return {name: sum(map(nodes, members), ()) for name, members in self.groups.items()}
 
     def decided_in(self, subnet: str) -> Tuple[str, ...]:
         """Return the action places where the policy of a subnet decides ("": that of the plan
@@ -619,6 +632,7 @@ class Plan:
         self._validate_times()
         self._validate_events()
         self._validate_subnets()
+        self._validate_groups()
         return self
 
     def _validate_actions(self) -> None:
@@ -647,6 +661,22 @@ class Plan:
                 raise self._error(element, "its entry or exit is outside")
             if subnet.parent and subnet.parent not in self.subnets:
                 raise self._error(element, "there is no subnet '%s'" % subnet.parent)
+
+    def _validate_groups(self) -> None:
+        owner: Dict[str, str] = {}
+        for name, members in self.groups.items():
+            for node in members:
+                known = (self.net.place_index, self.net.transition_index, self.subnets)
+                if not any(node in names for names in known):
+                    raise self._error(
+                        "groups.%s" % name, "there is no place or transition '%s'" % node
+                    )
+                if owner.setdefault(node, name) != name:
+                    raise self._error(
+                        "groups.%s" % name,
+                        "'%s' is in the group '%s' already" % (node, owner[node]),
+                        "a node is in one group at most",
+                    )
 
     def _validate_events(self) -> None:
         net = self.net

@@ -234,7 +234,8 @@ class TeamView:
         marking = tuple(tokens.get(place.name, 0) for place in self._plan.net.places)
         if marking != self._drawn[0]:
             try:
-                text = net_graph(self._plan.net, marking, self._plan.subnets).text()
+                plan = self._plan
+                text = net_graph(plan.net, marking, plan.subnets, plan.group_nodes).text()
                 self._drawn = marking, render(text, "png", DRAWING_TIME)
             except GspnError as error:
                 rospy.logwarn_throttle(60.0, "the net cannot be drawn: %s" % error)

@@ -8,7 +8,7 @@ its hash.
 
 A net with subnets is laid out plan by plan: the surrounding plan with one node for each subnet, and
 each subnet separately, with its entry at that node. When the page unfolds a subnet, it moves
-overlapping nodes aside.
+overlapping nodes aside. Layers keep the nodes of a group together.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import hashlib
 import json
 import math
 import subprocess
-from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Tuple, Union
+from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
 
 from gspn_framework_package.model.kept import Kept
 from gspn_framework_package.model.net import Arc, Net, Place, Point, Transition
@@ -68,7 +68,8 @@ class Layout(NamedTuple):
     engine: str
 
 
-_kept: Kept[Tuple[str, bool], Layout] = Kept(_KEPT)
+_Groups = Mapping[str, Sequence[str]]
+_kept: Kept[Tuple[str, bool, str], Layout] = Kept(_KEPT)
 
 
 def net_hash(net: Net) -> str:
@@ -86,18 +87,21 @@ def lay_out(
     net: Net,
     *,
     subnets: Mapping[str, Subnet] = {},
+    groups: Mapping[str, Sequence[str]] = {},
     anew: bool = False,
     deadline: float = DEADLINE,
 ) -> Layout:
     """Return the layout of a net.
 
     :param subnets: the subnets in it, by name.
+    :param groups: title -> nodes, or subnets, that are drawn in one box.
     :param anew: ignore the positions in the file.
     :param deadline: deadline of each Graphviz run, in seconds.
     """
     if subnets:
-        return _Parts(net, subnets).lay_out(anew, deadline)
-    return _kept.get((net_hash(net), anew), lambda: _compute(net, anew, deadline))
+        return _Parts(net, subnets).lay_out(groups, anew, deadline)
+    key = net_hash(net), anew, json.dumps(list(groups.values()))
+    return _kept.get(key, lambda: _compute(net, groups, anew, deadline))
 
 
 class _Parts:
@@ -116,11 +120,11 @@ class _Parts:
         parent = self._subnets[name].parent
         return 1 + self._depth(parent) if parent else 0
 
-    def lay_out(self, anew: bool, deadline: float) -> Layout:
+    def lay_out(self, groups: _Groups, anew: bool, deadline: float) -> Layout:
         positions: Dict[str, Point] = {}
         engine = ""
         for name in ["", *sorted(self._subnets, key=self._depth)]:
-            layout = lay_out(self._part(name), anew=anew, deadline=deadline)
+            layout = lay_out(self._part(name), groups=groups, anew=anew, deadline=deadline)
             right = down = 0.0
             if name:  # known as the node of the subnet in the surrounding plan
                 entry = self._subnets[name].entry
@@ -166,7 +170,7 @@ class _Parts:
         return name
 
 
-def _compute(net: Net, anew: bool, deadline: float) -> Layout:
+def _compute(net: Net, groups: _Groups, anew: bool, deadline: float) -> Layout:
     nodes: List[Union[Place, Transition]] = [*net.places, *net.transitions]
     if not nodes:
         return Layout({}, "empty")
@@ -180,7 +184,7 @@ def _compute(net: Net, anew: bool, deadline: float) -> Layout:
     for engine in ("dot", "sfdp"):
         layout = None
         if engine != "dot" or len(nodes) <= DOT_NODES:
-            layout = _graphviz(net, engine, deadline)
+            layout = _graphviz(net, groups, engine, deadline)
         if layout is not None and (best is None or _zoom(layout) > MUCH_LARGER * _zoom(best)):
             best = layout
         if best is not None and _zoom(best) >= LEGIBLE:
@@ -250,14 +254,14 @@ def label_width(name: str) -> float:
     return min(len(name), LABEL_CHARACTERS) * CHARACTER_WIDTH
 
 
-def _graphviz(net: Net, engine: str, deadline: float) -> Optional[Layout]:
+def _graphviz(net: Net, groups: _Groups, engine: str, deadline: float) -> Optional[Layout]:
     """The layout by Graphviz, or None if it fails or takes longer than ``deadline`` seconds."""
     names = _names(net)
     number = {name: i for i, name in enumerate(names)}
     try:
         done = subprocess.run(
             [engine, "-Tplain", "-y"],
-            input=_dot_text(net, number, engine).encode(),
+            input=_dot_text(net, groups, number, engine).encode(),
             capture_output=True,
             timeout=deadline,
             check=False,
@@ -276,7 +280,7 @@ def _graphviz(net: Net, engine: str, deadline: float) -> Optional[Layout]:
     return Layout(_pushed_apart(positions) if engine == "sfdp" else positions, engine)
 
 
-def _dot_text(net: Net, number: Dict[str, int], engine: str) -> str:
+def _dot_text(net: Net, groups: _Groups, number: Dict[str, int], engine: str) -> str:
     """The net in DOT, with numbers for names, so that nothing needs quoting."""
     if engine == "dot":
         settings = "rankdir=LR nodesep=0.28 ranksep=0.5 nslimit=6 mclimit=0.6 splines=false;"
@@ -290,6 +294,9 @@ def _dot_text(net: Net, number: Dict[str, int], engine: str) -> str:
         lines.append("%d [%s];" % (number[name], shape))
     for arc in net.arcs:
         lines.append("%d -> %d;" % (number[arc.source], number[arc.target]))
+    for i, nodes in enumerate(groups.values()):
+        inside = " ".join("%d;" % number[node] for node in nodes if node in number)
+        lines.append("subgraph cluster_%d { margin=30 %s }" % (i, inside))
     lines.append("}")
     return "\n".join(lines)
 

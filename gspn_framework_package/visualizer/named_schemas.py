@@ -103,6 +103,7 @@ SCENE = object_with(
         "arcs": {"type": "array", "items": COUNTS},
         "layout": OBJECT,
         "subnets": OBJECTS,
+        "groups": OBJECTS,
         "plan": or_null(OBJECT),
     }
 )

@@ -17,7 +17,7 @@ from gspn_framework_package.visualizer.layout import Layout, lay_out, net_hash
 
 def scene_to_json(net: Net, plan: Optional[Plan] = None) -> Dict[str, Any]:
     """The scene of a net, with the attributes from its plan."""
-    layout = lay_out(net, subnets=plan.subnets if plan is not None else {})
+    layout = lay_out(net, **boxes_of(plan))
     return {
         "name": (plan.name if plan is not None else net.name) or "net",
         "hash": net_hash(net),
@@ -52,8 +52,14 @@ def scene_to_json(net: Net, plan: Optional[Plan] = None) -> Dict[str, Any]:
         "arcs": [_arc(net, a) for a in range(len(net.arcs))],
         "layout": {**layout_to_json(net, layout), "bends": _bends(net, layout)},
         "subnets": _subnets(net, plan),
+        "groups": _groups(net, plan),
         "plan": _plan(plan),
     }
+
+
+def boxes_of(plan: Optional[Plan]) -> Dict[str, Any]:
+    """What :func:`lay_out` needs to know of a plan: its subnets and groups."""
+    return {} if plan is None else {"subnets": plan.subnets, "groups": plan.groups}
 
 
 def layout_to_json(net: Net, layout: Layout) -> Dict[str, Any]:
@@ -146,6 +152,18 @@ def _subnets(net: Net, plan: Optional[Plan]) -> List[Dict[str, Any]]:
             "transitions": [net.transition_number(t) for t in subnet.transitions],
         }
         for name, subnet in sorted(plan.subnets.items(), key=lambda item: len(item[0]))
+    ]
+
+
+def _groups(net: Net, plan: Optional[Plan]) -> List[Dict[str, Any]]:
+    """The groups: ``name``, and the numbers of their ``places`` and ``transitions``."""
+    return [
+        {
+            "name": name,
+            "places": [net.place_index[n] for n in nodes if n in net.place_index],
+            "transitions": [net.transition_index[n] for n in nodes if n in net.transition_index],
+        }
+        for name, nodes in (plan.group_nodes if plan is not None else {}).items()
     ]
 
 

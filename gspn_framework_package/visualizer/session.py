@@ -12,7 +12,7 @@ from gspn_framework_package.visualizer.board import Board
 from gspn_framework_package.visualizer.documents import Document
 from gspn_framework_package.visualizer.hub import Hub
 from gspn_framework_package.visualizer.layout import lay_out
-from gspn_framework_package.visualizer.scene import layout_to_json, scene_to_json
+from gspn_framework_package.visualizer.scene import boxes_of, layout_to_json, scene_to_json
 from gspn_framework_package.visualizer.simulation import OfflineSimulation
 
 SESSIONS = 24
@@ -133,9 +133,8 @@ class Session:
         if not self._layout.acquire(blocking=False):
             raise RefusedError("it is being laid out already", hint="wait for that")
         try:
-            net, plan = self.document.net, self.document.plan
-            subnets = plan.subnets if plan is not None else {}
-            return layout_to_json(net, lay_out(net, subnets=subnets, anew=True))
+            net = self.document.net
+            return layout_to_json(net, lay_out(net, **boxes_of(self.document.plan), anew=True))
         finally:
             self._layout.release()
 

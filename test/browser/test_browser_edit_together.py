@@ -161,3 +161,23 @@ def test_what_both_changed_is_shown_element_by_element(people, picture, axe):
     ben.keyboard.press("Control+s")
     wait_until(ben, "!d.dirty")
     assert json.loads(file.read_text())["net"]["places"][0]["tokens"] == 5
+
+
+def test_two_people_group_the_same_plan(people):
+    ann, ben, _, _ = people
+    change(ann, "d.plan.groups = {Out: ['A', 'go']};")
+    for page in (ann, ben):
+        wait_until(page, "d.plan.groups?.Out?.length === 2")
+    # at the same time: a node more each, the same new title for other nodes
+    change(ann, "d.plan.groups.Out.push('B');")
+    change(ben, "d.plan.groups.Out.push('back'); d.plan.description = 'Ben';")
+    for page in (ann, ben):
+        wait_until(page, "d.plan.groups.Out.length === 4")
+    # one dissolves it in part, the other deletes a node of it
+    change(ann, "d.plan.groups.Out = ['A', 'B', 'back'];")
+    ben.evaluate(
+        "() => { const m = window.gspn.edit; m.choose(['transition:back']); m.actions.remove(); }"
+    )
+    for page in (ann, ben):
+        wait_until(page, "d.plan.groups.Out.length === 2 && d.net.transitions.length === 1")
+        assert state(page)["plan"]["groups"] == {"Out": ["A", "B"]}

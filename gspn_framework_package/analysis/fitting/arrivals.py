@@ -276,6 +276,9 @@ def with_day(plan: Plan, fit: ArrivalsFit, logs: Sequence[str]) -> Plan:
         name: subnet._replace(transitions=tuple(t for t in subnet.transitions if t not in names))
         for name, subnet in plan.subnets.items()
     }
+    groups = {
+        title: tuple(n for n in nodes if n not in names) for title, nodes in plan.groups.items()
+    }
     evidence = {key: value for key, value in plan.evidence.items() if key[1] not in names}
     for name, rate in learned.items():
         evidence["rates", name] = Evidence(rate.seen, tuple(logs), rate.interval)
@@ -285,6 +288,7 @@ def with_day(plan: Plan, fit: ArrivalsFit, logs: Sequence[str]) -> Plan:
         resource_places=plan.resource_places.union(clock),
         events={name: event for name, event in plan.events.items() if name not in names},
         subnets=subnets,
+        groups={title: nodes for title, nodes in groups.items() if nodes},
         rates={name: rate for name, rate in plan.rates.items() if name not in names},
         own_rates={name: rate for name, rate in plan.own_rates.items() if name not in names},
         evidence=evidence,

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import threading
-from typing import Any, Callable, Dict, Mapping, Tuple
+from typing import Any, Callable, Dict, List, Mapping, Tuple
 
 import flask
 from flask import Response, request
@@ -101,7 +101,8 @@ def add_help_routes(app: flask.Flask, project: Project, body: RequestBody, answe
 
     @app.route("/api/edit/layout", methods=["POST"])
     def layout_of_document() -> Response:
-        return answer(_layout(_drawable(_document(body(), "document")), laying_out))
+        document = _document(body(), "document")
+        return answer(_layout(_drawable(document), _groups(document), laying_out))
 
     @app.route("/api/edit/palette")
     def palette_of_plan() -> Response:
@@ -133,12 +134,25 @@ def _answered(found: Dict[str, Any]) -> Dict[str, Any]:
     return {"cancelled": True}
 
 
-def _layout(net: Net, laying_out: threading.Lock) -> Dict[str, Any]:
+def _groups(document: Mapping[str, Any]) -> Dict[str, List[str]]:
+    """The groups of a document that may be unfinished."""
+    plan = document.get("plan")
+    found = plan.get("groups") if isinstance(plan, dict) else None
+    return {
+        title: [node for node in nodes if isinstance(node, str)]
+        for title, nodes in (found if isinstance(found, dict) else {}).items()
+        if isinstance(nodes, list)
+    }
+
+
+def _layout(
+    net: Net, groups: Mapping[str, List[str]], laying_out: threading.Lock
+) -> Dict[str, Any]:
     """The positions of the nodes of a net, for the page. One net is laid out at a time."""
     if not laying_out.acquire(timeout=QUICK_SECONDS):
         raise RefusedError("another net is being laid out", hint="try again")
     try:
-        positions = lay_out(net, anew=True).positions
+        positions = lay_out(net, groups=groups, anew=True).positions
     finally:
         laying_out.release()
     listed: Tuple[Tuple[str, Any], ...] = (

@@ -476,6 +476,34 @@ def test_a_recorded_run_with_subnets_follows_the_rules(folder, tmp_path, record_
     assert verify([read_log(log)]).violation is None
 
 
+def test_groups_hold_subnets_and_are_held_by_them(folder, tmp_path):
+    dock = changed(DOCK, groups={"Queue": ["Wait", "again", "Gate"]})
+    file = folder(changed(HOME, groups={"Both": ["Left", "leave"], "Far": ["Right"]}), dock)
+    plan = read_plan(file)
+    left = plan.subnets["Left"]
+    assert plan.group_nodes == {
+        "Left.Queue": ("Left.Wait", "Left.again", "Left.Gate"),
+        "Right.Queue": ("Right.Wait", "Right.again"),  # its gate is the field around it
+        "Both": (*left.places, *left.transitions, "leave"),
+        "Far": (*plan.subnets["Right"].places, *plan.subnets["Right"].transitions),
+    }
+    again = plan_from_json(plan_to_json(plan))
+    assert again.groups == plan.groups and again.hash() == plan.hash() == read_plan(folder()).hash()
+
+    folder(changed(HOME, groups={"Both": ["Left", "leave"], "Far": ["Right"]}), dock)
+    picture = tmp_path / "net.dot"
+    assert main(["draw", file, "-o", str(picture)]) == 0
+    lines = [line.strip() for line in picture.read_text().splitlines()]
+    depth, inside = 0, {}  # title -> number of boxes around it
+    for line in lines:
+        title = re.search(r'graph \[label="(.+?)"', line)
+        depth += line.startswith("subgraph") - (line == "}")
+        if title:
+            inside[title[1]] = depth
+    assert inside["Both"] == 1 and inside["Left"] == 2 and inside["Left.Queue"] == 3
+    assert {inside["Far"], inside["Right"]} == {1, 2} and inside["Right.Queue"] == 3
+
+
 def test_commands_know_subnets(folder, tmp_path, capsys):
     file = folder()
     main(["check", file, "--json"])

@@ -172,6 +172,30 @@ def plan_with_docks(folder, around_dock=(300.0, 200.0), inside=True, nested=Fals
     return read_plan(str(folder)), net_from_json(plan["net"])
 
 
+def test_a_group_stays_together():
+    places = [Place("p%d" % i) for i in range(12)]
+    transitions = [Transition("t%d" % i) for i in range(11)]
+    arcs = [Arc("p%d" % i, "t%d" % i) for i in range(11)]
+    arcs += [Arc("t%d" % i, "p%d" % (i // 2)) for i in range(11)]
+    net = Net(places, transitions, arcs)
+    group = ["p2", "p9", "t9", "p11"]
+
+    def in_box(found):
+        """The nodes in the box around the group."""
+        low, high = (
+            [pick(found.positions[node][axis] for node in group) for axis in (0, 1)]
+            for pick in (min, max)
+        )
+        return {
+            name
+            for name, at in found.positions.items()
+            if all(low[i] - 20 < at[i] < high[i] + 20 for i in (0, 1))
+        }
+
+    assert in_box(lay_out(net)) > set(group)  # others are among them
+    assert in_box(lay_out(net, groups={"G": group})) == set(group)
+
+
 @pytest.mark.parametrize("nested", [False, True])
 def test_a_plan_with_subnets_is_laid_out_as_it_is_drawn(tmp_path, nested):
     plan, drawn_net = plan_with_docks(tmp_path, nested=nested)

@@ -160,7 +160,7 @@ export class Labels {
     }
     if (view.arcs.all.length <= ARCS) this.sampleArcs(this.points, view.camera.now);
     for (const element of view.container.parentElement.querySelectorAll(
-      ".zoom, .frame-name, .subnets",
+      ".zoom, .frame-name, .subnets, .boxes text",
     )) {
       const box = element.getBoundingClientRect();
       this.fixed.add([box.left - left, box.top - top, box.right - left, box.bottom - top]);

@@ -2,6 +2,7 @@
 
 import { RADIUS, BAR, dots, discs } from "./geometry.js";
 import { natural, s } from "./dom.js";
+import { boundsOf } from "./arc_routes.js";
 import { colourOf, shortName } from "./colours.js";
 import { named, reportOf } from "./phases.js";
 
@@ -55,6 +56,32 @@ export function settle(node) {
   node.base = [node.x, node.y];
   node.element.removeAttribute("transform");
   if (way[0] || way[1]) for (const part of node.element.children) shift(part, way);
+}
+
+const [BESIDE, OVER] = [40, 56]; // px from nodes to the box around them: at its sides, and at the top with its title
+const [FURTHER, HIGHER] = [8, 20]; // px that it is larger for each level of boxes inside it
+const WIDE = 7; // px of a character of its title
+
+/** The bounds of the box around nodes: [left, top, right, bottom]. `level`: how deeply boxes inside it are nested. */
+export function boxOf(nodes, title, level = 0) {
+  const bounds = boundsOf(nodes, [], BESIDE + FURTHER * level, OVER + HIGHER * level);
+  const [left, top, right, bottom] = bounds;
+  return [left, top, Math.max(right, left + 24 + WIDE * title.length), bottom];
+}
+
+/** The boxes around nodes, with their titles: [[title, list of nodes], ...]. */
+export function boxesAround(list) {
+  const drawn = []; // {nodes, level, element}, the smallest first
+  for (const [title, members] of [...list].sort((a, b) => a[1].length - b[1].length)) {
+    const nodes = new Set(members);
+    const inside = drawn.filter((box) => [...box.nodes].every((node) => nodes.has(node)));
+    const level = Math.max(0, ...inside.map((box) => box.level + 1));
+    const [x, y, right, bottom] = boxOf(members, title, level);
+    const box = { x, y, width: right - x, height: bottom - y, rx: 12 };
+    const text = s("text", { x: x + 12, y: y + 18 }, title);
+    drawn.push({ nodes, level, element: s("g.box", { "data-box": title }, s("rect", box), text) });
+  }
+  return drawn.reverse().map(({ element }) => element);
 }
 
 /** Make the symbol of a node where it is: `node.base` is where it is drawn. */

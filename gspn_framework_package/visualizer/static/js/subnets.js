@@ -1,21 +1,24 @@
 // Subnets of a plan: each folds into one node, which stands for all its places. That node is the subnet's entry, under
 // the subnet's name; the others are hidden. An unfolded subnet is drawn as in its own plan, around its entry, and
-// pushes the nodes around it aside. A list of buttons folds and unfolds, and counts the robots.
+// pushes the nodes around it aside. A list of buttons folds and unfolds, and counts the robots. Groups of nodes
+// have boxes too.
 
-import { boundsOf } from "./arc_routes.js";
 import { h, s } from "./dom.js";
+import { boxesAround } from "./net_nodes.js";
 
 export class Subnets {
   /** `list`: the element for the buttons. Initially, subnets with more than one node are folded. */
   constructor(view, list) {
     this.view = view;
     this.list = list;
+    const nodesOf = ({ places, transitions }) => [
+      ...places.map((p) => view.places[p]),
+      ...transitions.map((t) => view.transitions[t]),
+    ];
+    this.groups = (view.scene.groups || []).map((group) => ({ ...group, nodes: nodesOf(group) }));
     this.all = (view.scene.subnets || []).map((subnet) => ({
       ...subnet,
-      inside: new Set([
-        ...subnet.places.map((p) => view.places[p]),
-        ...subnet.transitions.map((t) => view.transitions[t]),
-      ]),
+      inside: new Set(nodesOf(subnet)),
       folded: subnet.places.length + subnet.transitions.length > 1,
     }));
     this.all.forEach((subnet, i) => {
@@ -71,14 +74,18 @@ export class Subnets {
     });
   }
 
-  /** Draw a box around each unfolded subnet. */
+  /** Draw a box around each unfolded subnet, and around each group that is not inside a folded one. */
   drawBoxes() {
     const open = this.all.filter(({ folded, entry }) => !folded && !this.view.places[entry].folded);
+    const groups = this.groups.filter(({ nodes }) => {
+      const around = this.standsFor.get(nodes[0].folded?.index);
+      return !around || nodes.length >= around.inside.size;
+    });
     this.boxes.replaceChildren(
-      ...open.map(({ inside }) => {
-        const [x, y, right, bottom] = boundsOf([...inside], [], 40, 48);
-        return s("rect", { x, y, width: right - x, height: bottom - y, rx: 12 });
-      }),
+      ...boxesAround([
+        ...groups.map(({ name, nodes }) => [name, nodes]),
+        ...open.map(({ name, inside }) => [name, [...inside]]),
+      ]),
     );
   }
 

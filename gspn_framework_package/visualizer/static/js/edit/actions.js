@@ -14,11 +14,13 @@ import {
   changeNodes,
   findNode,
   freeName,
+  freeTitle,
   moveNodes,
   nodeKey,
   otherKind,
   problemOfArc,
   unbent,
+  withGroup,
 } from "./net_edits.js";
 
 const FIRST = { place: "P1", timed: "T1", immediate: "t1" };
@@ -237,6 +239,55 @@ export class Actions {
     return "";
   }
 
+  // -- groups --------------------------------------------------------------------------------------
+
+  /** Make a group of the selected nodes, and ask for its title. */
+  group() {
+    const { mode } = this;
+    const names = this.chosenNodes().map(({ name }) => name);
+    if (!names.length) {
+      mode.say("Select the places and transitions of the group.");
+      return;
+    }
+    const title = freeTitle(mode.document.plan, "Group 1");
+    this.edit(`Group ${plural(names.length, "node")}`, ({ plan }) => ({
+      plan: withGroup(plan, names, title),
+    }));
+    mode.beginRename(`group:${title}`);
+  }
+
+  /** Dissolve the groups in which selected nodes are. */
+  ungroup() {
+    const { mode } = this;
+    const { canvas } = mode;
+    const nodes = this.chosenNodes();
+    const titles = new Set(nodes.map((node) => canvas.groupOf(node)));
+    titles.delete(undefined);
+    const names = [...titles].flatMap((title) => canvas.groups.get(title).map(({ name }) => name));
+    if (!names.length) mode.say("Select a group to dissolve it.");
+    else
+      this.edit(`Dissolve ${[...titles].join(", ")}`, ({ plan }) => ({
+        plan: withGroup(plan, names, ""),
+      }));
+  }
+
+  /** Give a group another title. Returns why not, or "". */
+  renameGroup(title, wanted) {
+    if (wanted === title) return "";
+    const { groups } = this.mode.document.plan;
+    if (!wanted) return "a title is needed";
+    if (Object.hasOwn(groups, wanted)) return `there is a group '${wanted}' already`;
+    this.edit(`Rename the group ${title} to ${wanted}`, ({ plan }) => ({
+      plan: {
+        ...plan,
+        groups: Object.fromEntries(
+          Object.entries(plan.groups).map(([it, names]) => [it === title ? wanted : it, names]),
+        ),
+      },
+    }));
+    return "";
+  }
+
   // -- moving --------------------------------------------------------------------------------------
 
   /** The selected nodes, as drawn. */
@@ -413,10 +464,10 @@ export class Actions {
       if (Object.keys(copy.actions).length) values.actions = { ...plan?.actions, ...copy.actions };
       if (copy.resources.length)
         values.resource_places = [...(plan?.resource_places || []), ...copy.resources];
-      return {
-        net: this.placed(addParts(net, copy)),
-        plan: Object.keys(values).length ? { ...plan, ...values } : plan,
-      };
+      let all = Object.keys(values).length ? { ...plan, ...values } : plan;
+      for (const [title, names] of Object.entries(copy.groups))
+        all = withGroup(all, names, freeTitle(all, title));
+      return { net: this.placed(addParts(net, copy)), plan: all };
     });
     this.mode.choose([
       ...copy.places.map(({ name }) => nodeKey("place", name)),

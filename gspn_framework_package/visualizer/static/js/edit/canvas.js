@@ -6,9 +6,18 @@ import { ArcRoutes, bendsOf, boundsOf } from "../arc_routes.js";
 import { arcLine, arcEnd, distance } from "../geometry.js";
 import { Camera } from "../net_camera.js";
 import { Labels } from "../labels.js";
-import { buildPlace, buildTransition, drawPlace, follow, put, settle } from "../net_nodes.js";
+import {
+  boxOf,
+  boxesAround,
+  buildPlace,
+  buildTransition,
+  drawPlace,
+  follow,
+  put,
+  settle,
+} from "../net_nodes.js";
 import { sizeAt } from "../net_arcs.js";
-import { arcKey, nodeKey } from "./net_edits.js";
+import { arcKey, groupsIn, nodeKey } from "./net_edits.js";
 
 const GAP = 96; // px between the nodes of a net without positions
 const FEW = 60; // an edit that changes up to this many nodes has them drawn in the upper sheet
@@ -39,7 +48,9 @@ export class Canvas extends EventTarget {
     this.counts = null; // tokens shown instead of the document's
     const sheet = (name, ...content) =>
       s("svg", { class: name, "aria-hidden": "true" }, ...content);
+    this.groups = new Map(); // title -> the nodes that are drawn in one box
     this.layer = {
+      boxes: s("g.boxes"),
       arcs: s("g"),
       nodes: s("g"),
       liftedArcs: s("g.arcs"),
@@ -49,7 +60,7 @@ export class Canvas extends EventTarget {
     this.lifted = new Set(); // nodes in the upper sheet
     this.quiet = 0; // timer until they go back
     container.replaceChildren(
-      sheet("arcs", this.layer.arcs),
+      sheet("arcs", this.layer.boxes, this.layer.arcs),
       sheet("nodes", this.layer.nodes),
       sheet("nodes", this.layer.liftedArcs, this.layer.liftedNodes),
       sheet("over", this.layer.over),
@@ -135,7 +146,7 @@ export class Canvas extends EventTarget {
   }
 
   bounds() {
-    return boundsOf(this.nodes, this.arcs.all, 40, 40) || [0, 0, 480, 320];
+    return boundsOf(this.nodes, this.arcs.all, 40, this.groups.size ? 60 : 40) || [0, 0, 480, 320];
   }
 
   // -- drawing what changed ------------------------------------------------------------------------
@@ -156,10 +167,55 @@ export class Canvas extends EventTarget {
     if (another("places") || roles) nodes = this.showNodes("place", net.places) || nodes;
     if (another("transitions")) nodes = this.showNodes("transition", net.transitions) || nodes;
     if (nodes) this.nodes = [...this.byKey.values()];
+    if (nodes || roles) this.groups = this.groupsOf(plan);
     if (another("arcs") || this.loose) this.showArcs(net.arcs);
     this.labels?.later();
     this.moved = true;
     this.request();
+  }
+
+  /** The nodes of each group of a plan that may be unfinished: title -> nodes. */
+  groupsOf(plan) {
+    const node = (name) =>
+      this.byKey.get(nodeKey("place", name)) || this.byKey.get(nodeKey("transition", name));
+    return new Map(
+      Object.entries(groupsIn(plan))
+        .map(([title, names]) => [title, names.map(node).filter(Boolean)])
+        .filter(([, nodes]) => nodes.length),
+    );
+  }
+
+  /** The title of the group in which a node is, or whose box is at a point of the drawing; undefined: none. */
+  groupOf(node, [x, y] = []) {
+    for (const [title, nodes] of this.groups) {
+      const [left, top, right, bottom] = boxOf(nodes, title);
+      if (node ? nodes.includes(node) : left < x && x < right && top < y && y < bottom)
+        return title;
+    }
+    return undefined;
+  }
+
+  /** What "group:TITLE" stands for, the keys of its nodes; any other key stands for itself. */
+  keysOf(key) {
+    const nodes = key.startsWith("group:") && this.groups.get(key.slice("group:".length));
+    return nodes ? nodes.map((node) => node.key) : [key];
+  }
+
+  /** The title of the group that is selected, whole and alone; undefined: none. */
+  get group() {
+    const nodes = [...this.chosen].filter((key) => this.byKey.has(key));
+    const all = (title) => {
+      const keys = this.keysOf(`group:${title}`);
+      return keys.length === nodes.length && keys.every((key) => this.chosen.has(key));
+    };
+    return nodes.length ? [...this.groups.keys()].find(all) : undefined;
+  }
+
+  drawBoxes() {
+    const chosen = this.group;
+    this.layer.boxes.replaceChildren(...boxesAround(this.groups));
+    for (const box of this.layer.boxes.children)
+      box.classList.toggle("selected", box.dataset.box === chosen);
   }
 
   classOf(kind, data) {
@@ -419,7 +475,10 @@ export class Canvas extends EventTarget {
       this.camera.draw();
       this.labels.later();
     }
-    if (this.moved) this.drawArcs();
+    if (this.moved) {
+      this.drawArcs();
+      this.drawBoxes();
+    }
     this.dispatchEvent(new CustomEvent("frame"));
   }
 
@@ -438,6 +497,7 @@ export class Canvas extends EventTarget {
       for (const element of this.elementsOf(key)) element.classList.add("selected");
     this.chosen = new Set(keys);
     this.labels.later();
+    this.drawBoxes();
     this.request();
   }
 

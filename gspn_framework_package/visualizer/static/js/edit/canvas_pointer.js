@@ -34,6 +34,7 @@ export class CanvasPointer extends Pointer {
     this.bends = s("g.bends");
     this.layer.append(this.guides, this.band, this.ghost, this.bends, this.handles);
     this.handled = null; // the node whose handles are shown
+    this.entered = undefined; // the group whose nodes are selected one by one, after a double click
     const { container } = this.view;
     container.onpointerleave = () => {
       this.here = null;
@@ -151,6 +152,7 @@ export class CanvasPointer extends Pointer {
     const handle = event.target.closest("[data-handle]");
     const node = handle ? this.handled : this.nodeAt(point);
     const arc = node ? null : this.arcAt(point);
+    const group = arc ? undefined : view.groupOf(node, point);
     // a finger moves what a tap has selected; otherwise, the view
     const touches = event.pointerType === "touch" && !(node && mode.selection.has(node.key));
     const looks = event.button === 1 || mode.panning || touches;
@@ -164,11 +166,14 @@ export class CanvasPointer extends Pointer {
             ? "place"
             : arc && !mode.tool && !event.shiftKey
               ? "bend"
-              : "band";
+              : group !== undefined && !mode.tool && !event.shiftKey
+                ? "move"
+                : "band";
     this.gesture = {
       kind,
       node,
       arc,
+      group,
       at: this.point(event),
       from: point,
       camera: { ...view.camera.now },
@@ -211,13 +216,23 @@ export class CanvasPointer extends Pointer {
   /** Begin to move the selected nodes, or the one under the pointer. */
   take(event) {
     const { mode, gesture } = this;
-    if (!mode.selection.has(gesture.node.key))
-      mode.choose(event.shiftKey ? [...mode.selection, gesture.node.key] : [gesture.node.key]);
+    const keys = this.meant(gesture);
+    if (!keys.every((key) => mode.selection.has(key)))
+      mode.choose(event.shiftKey ? [...mode.selection, ...keys] : keys);
     gesture.nodes = mode.actions.chosenNodes();
     gesture.starts = gesture.nodes.map(({ x, y }) => [x, y]);
     const moving = new Set(gesture.nodes);
     gesture.others = this.view.nodes.filter((node) => !moving.has(node));
-    gesture.home = [gesture.node.x, gesture.node.y];
+    const { x, y } = gesture.node ?? gesture.nodes[0];
+    gesture.home = [x, y];
+  }
+
+  /** The keys of the nodes that a click or a drag is about: a node, or all of the group that it is in, or whose box was
+   * hit. */
+  meant({ node, group }) {
+    return group !== undefined && !(node && group === this.entered)
+      ? this.view.keysOf(`group:${group}`)
+      : [node.key];
   }
 
   drag() {
@@ -380,7 +395,8 @@ export class CanvasPointer extends Pointer {
     if (key && event.pointerType !== "touch") this.mode.beginRename(key);
   }
 
-  click(event, { kind, node, arc, from }) {
+  click(event, gesture) {
+    const { kind, node, arc, group, from } = gesture;
     const { mode, view } = this;
     if (kind === "place") {
       const { x, y } = snapped(from[0], from[1], view.nodes, view.camera.now.k);
@@ -393,18 +409,25 @@ export class CanvasPointer extends Pointer {
       if (node) mode.arcTo(node.key);
       return;
     }
-    const key = node?.key || arc?.key;
+    const key = node?.key || arc?.key || (group === undefined ? undefined : `group:${group}`);
     const now = performance.now();
     const again = this.lastClick && now - this.lastClick.at < AGAIN && this.lastClick.key === key;
     this.lastClick = { at: now, key };
     if (again) {
       this.lastClick = null;
-      this.twice(event, key, from, arc);
-    } else if (event.shiftKey && key) {
-      const keys = new Set(mode.selection);
-      if (!keys.delete(key)) keys.add(key);
-      mode.choose(keys);
-    } else if (key || !event.shiftKey) mode.choose(key ? [key] : []);
+      if (node && group !== this.entered) {
+        this.entered = group;
+        mode.choose([key]);
+      } else this.twice(event, key, from, arc);
+    } else {
+      if (!node || group !== this.entered) this.entered = undefined;
+      const keys = arc ? [key] : key ? this.meant(gesture) : [];
+      if (event.shiftKey && key) {
+        const all = keys.every((it) => mode.selection.has(it));
+        const others = [...mode.selection].filter((it) => !keys.includes(it));
+        mode.choose(all ? others : [...others, ...keys]);
+      } else if (key || !event.shiftKey) mode.choose(keys);
+    }
     if (node && event.pointerType !== "touch") this.showHandles(node);
   }
 

@@ -1,6 +1,6 @@
 // Parts of a net as text, for copy and paste. Paste refuses any text that is not exactly of this form.
 
-import { freeName } from "./net_edits.js";
+import { freeName, groupsIn } from "./net_edits.js";
 
 const MARK = "gspn-part";
 const PLACE = { tokens: isCount, capacity: isCount };
@@ -42,10 +42,13 @@ export function copied(state, keys, positions) {
   for (const { name } of places)
     if (plan?.actions && Object.hasOwn(plan.actions, name)) actions[name] = plan.actions[name];
   const resources = (plan?.resource_places || []).filter((name) => names.has(name));
-  return JSON.stringify({ [MARK]: 1, places, transitions, arcs, actions, resources }, null, 1);
+  const whole = ([, nodes]) => nodes.every((name) => names.has(name));
+  const groups = Object.fromEntries(Object.entries(groupsIn(plan)).filter(whole));
+  const part = { places, transitions, arcs, actions, resources, groups };
+  return JSON.stringify({ [MARK]: 1, ...part }, null, 1);
 }
 
-/** What `text` holds: {places, transitions, arcs, actions, resources}; null if it is not a part of a net. */
+/** What `text` holds: {places, transitions, arcs, actions, resources, groups}; null if it is not a part of a net. */
 export function parsed(text) {
   let data;
   try {
@@ -54,9 +57,10 @@ export function parsed(text) {
     return null;
   }
   if (!isObject(data) || data[MARK] !== 1) return null;
-  const { places, transitions, arcs, actions = {}, resources = [] } = data;
+  const { places, transitions, arcs, actions = {}, resources = [], groups = {} } = data;
   if (![places, transitions, arcs, resources].every(Array.isArray) || !isObject(actions))
     return null;
+  if (!isObject(groups) || !Object.values(groups).every(Array.isArray)) return null;
   const names = new Set();
   const fits = (node, keys) => {
     if (!isObject(node) || !isName(node.name) || names.has(node.name)) return false;
@@ -79,6 +83,9 @@ export function parsed(text) {
     (arc.inhibitor === undefined ||
       (typeof arc.inhibitor === "boolean" && (!arc.inhibitor || isPlace.has(arc.from))));
   if (!arcs.every(joins)) return null;
+  const grouped = Object.values(groups).flat();
+  if (!grouped.every((name) => names.has(name)) || new Set(grouped).size < grouped.length)
+    return null;
   const only = (object, keys) =>
     Object.fromEntries(
       Object.entries(object).filter(([key, value]) => keys.includes(key) && value !== undefined),
@@ -90,6 +97,7 @@ export function parsed(text) {
     arcs: arcs.map((arc) => only(arc, ["from", "to", "weight", "inhibitor", "bends"])),
     actions: Object.fromEntries(Object.entries(actions).filter(([name]) => isPlace.has(name))),
     resources: resources.filter((name) => isPlace.has(name)),
+    groups,
   };
 }
 
@@ -120,5 +128,11 @@ export function fitted(part, net, move) {
       Object.entries(part.actions).map(([name, action]) => [names.get(name), action]),
     ),
     resources: part.resources.map((name) => names.get(name)),
+    groups: Object.fromEntries(
+      Object.entries(part.groups ?? {}).map(([title, nodes]) => [
+        title,
+        nodes.map((name) => names.get(name)),
+      ]),
+    ),
   };
 }

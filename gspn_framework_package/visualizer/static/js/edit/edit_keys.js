@@ -26,6 +26,9 @@ export const EDIT_KEYS = [
   ["Delete", "delete the selection"],
   ["Ctrl + A", "select everything"],
   ["Ctrl + C  X  V  D", "copy, cut, paste, duplicate"],
+  ["Ctrl + G", "make the selected nodes a group; F2 changes its title"],
+  ["Ctrl + Shift + G", "dissolve the group of the selected nodes"],
+  ["click, double click a node of a group", "select the group, the node"],
   ["Ctrl + Z,  Ctrl + Y", "undo, redo (also Ctrl + Shift + Z)"],
   ["Ctrl + S", "save"],
   ["Ctrl + Enter", "open the subnet of the selected place"],
@@ -147,6 +150,7 @@ function withControl(event, mode) {
     s: () => mode.files.save(),
     a: () => actions.selectAll(),
     d: () => actions.duplicate(),
+    g: () => (event.shiftKey ? actions.ungroup() : actions.group()),
     enter: () => selection.size === 1 && actions.openSubnet([...selection][0]),
   };
   return acts[event.key.toLowerCase()] || null;
@@ -171,7 +175,10 @@ function alone(event, mode) {
   if (ADDS[key]) return () => actions.addHere(ADDS[key], event.shiftKey);
   const more = () => actions.count(1) || canvas.camera.zoom(1.25);
   const remove = () => actions.remove();
-  const rename = selection.size === 1 && (() => mode.beginRename([...selection][0]));
+  const { group } = canvas;
+  const one =
+    selection.size === 1 ? [...selection][0] : group === undefined ? null : `group:${group}`;
+  const rename = one && (() => mode.beginRename(one));
   const ends = mode.tool === "arc" && mode.arcEnd && (() => mode.arcTo(mode.arcEnd));
   const acts = {
     a: () => mode.beginArc(),

@@ -91,7 +91,16 @@ export class ElementList extends RestingList {
         count: (arc.weight ?? 1) === 1 ? undefined : arc.weight,
       })),
     );
+    const boxes = found(
+      [...this.mode.canvas.groups].map(([title, nodes]) => ({
+        key: `group:${title}`,
+        name: title,
+        sign: "group",
+        says: `, group of ${nodes.length}`,
+      })),
+    );
     const groups = [
+      ["Groups", boxes],
       ["Places", places],
       ["Transitions", transitions],
       ["Arcs", arcs],
@@ -171,9 +180,9 @@ export class ElementList extends RestingList {
     if (toggles) {
       if (present < 0) return;
       const { key } = this.items[present];
-      const chosen = new Set(selection);
-      if (!chosen.delete(key)) chosen.add(key);
-      this.mode.choose(chosen);
+      const keys = this.mode.canvas.keysOf(key);
+      const others = [...selection].filter((it) => !keys.includes(it));
+      this.mode.choose(keys.every((it) => selection.has(it)) ? others : [...others, ...keys]);
       this.goTo(key);
       return;
     }
@@ -196,15 +205,19 @@ export class ElementList extends RestingList {
       mode.aim(key);
       return;
     }
-    mode.choose(more ? [...mode.selection, key] : [key]);
-    mode.flyTo(key);
+    const keys = mode.canvas.keysOf(key);
+    mode.choose(more ? [...mode.selection, ...keys] : keys);
+    mode.flyTo(keys[0]);
+    this.goTo(key);
   }
 
   mark() {
     const { selection, arcEnd } = this.mode;
     for (const row of this.list.querySelectorAll("[aria-selected=true]"))
       row.setAttribute("aria-selected", "false");
-    for (const key of selection) this.rows.get(key)?.setAttribute("aria-selected", "true");
+    const group = `group:${this.mode.canvas.group}`;
+    for (const key of [...selection, group])
+      this.rows.get(key)?.setAttribute("aria-selected", "true");
     this.list.querySelector(".at")?.classList.remove("at");
     const at = arcEnd || this.at;
     const row = this.rows.get(at);

@@ -1,7 +1,7 @@
 // Merges what two people made of one plan, element by element: places, transitions and arcs by their names, rows of the
 // policy, and every field of the plan file. Pure functions on states of a PlanDocument, {plan, net, policy}.
 
-import { freeName } from "./net_edits.js";
+import { changed, freeName, freeTitle, groupsIn } from "./net_edits.js";
 import { renamed } from "./rename.js";
 
 const isObject = (value) => typeof value === "object" && value !== null && !Array.isArray(value);
@@ -161,6 +161,28 @@ class Merge {
   }
 }
 
+/** A plan whose groups are merged node by node: `groups` says for each node in which one it is. */
+const byNode = (plan) => {
+  const of = Object.entries(groupsIn(plan)).flatMap(([title, names]) =>
+    names.map((name) => [name, title]),
+  );
+  return plan && { ...plan, groups: Object.fromEntries(of) };
+};
+
+/** The plan of a state with lists of nodes as groups again, as in `first`, and without nodes that are gone. */
+function withLists(state, first) {
+  if (!state.plan) return state.plan;
+  const has = new Set([...state.net.places, ...state.net.transitions].map(({ name }) => name));
+  const of = Object.entries(state.plan.groups).filter(([name]) => has.has(name));
+  const groups = {};
+  for (const title of [...Object.keys(groupsIn(first)), ...of.map((it) => it[1])]) {
+    const names = of.filter((it) => it[1] === title).map(([name]) => name);
+    if (names.length) groups[title] = names;
+  }
+  const plan = changed(state.plan, { groups: Object.keys(groups).length ? groups : undefined });
+  return same(plan, first) ? first : plan;
+}
+
 /** The state with the nodes that an arc or an action needs and that somebody removed; `merge` notes each. */
 function withNeeded(state, states, merge) {
   const has = new Set([...state.net.places, ...state.net.transitions].map(({ name }) => name));
@@ -186,7 +208,7 @@ function withNeeded(state, states, merge) {
   return merge.conflicts.some(({ needed }) => needed) ? { ...state, net } : state;
 }
 
-/** Nodes of one name that both added and that differ: the own ones get free names. */
+/** Nodes and groups of one name that both added and that differ: the own ones get free names. */
 function apart(base, mine, theirs) {
   const nodes = ({ net }) =>
     new Map(
@@ -204,6 +226,15 @@ function apart(base, mine, theirs) {
     taken.add(free);
     state = renamed(state, kind, name, free);
   }
+  const groups = ({ plan }) => groupsIn(plan);
+  const both = { groups: { ...groups(theirs), ...groups(state) } };
+  const again = Object.entries(groups(state)).map(([title, names]) => {
+    const differs = Object.hasOwn(groups(theirs), title) && !same(groups(theirs)[title], names);
+    if (!differs || Object.hasOwn(groups(base), title)) return [title, names];
+    return [freeTitle(both, title), names];
+  });
+  if (again.some(([title]) => !Object.hasOwn(groups(state), title)))
+    return { ...state, plan: { ...state.plan, groups: Object.fromEntries(again) } };
   return state;
 }
 
@@ -228,14 +259,12 @@ export function merged(base, mine, theirs, { prefer = NONE, rename = true } = {}
     transitions: listed(named, "transition"),
     arcs: listed(({ from, to }) => `${from} → ${to}`, "arc"),
   });
-  const plan = merge.value(base.plan, own.plan, theirs.plan, ["plan"]);
+  const plan = merge.value(...[base, own, theirs].map((one) => byNode(one.plan)), ["plan"]);
   const policy = merge.policy(base.policy, own.policy, theirs.policy);
-  const whole =
-    net === mine.net && plan === mine.plan && policy === mine.policy
-      ? mine
-      : { ...own, net, plan, policy };
-  const state = withNeeded(whole, [own, theirs, base], merge);
-  return { state, conflicts: merge.conflicts, taken: merge.taken };
+  const whole = withNeeded({ ...own, net, plan, policy }, [own, theirs, base], merge);
+  const state = { ...whole, plan: withLists(whole, mine.plan) };
+  const unchanged = ["net", "plan", "policy"].every((key) => state[key] === mine[key]);
+  return { state: unchanged ? mine : state, conflicts: merge.conflicts, taken: merge.taken };
 }
 
 const shown = (value) => {

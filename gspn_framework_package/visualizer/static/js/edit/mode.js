@@ -14,6 +14,7 @@ import { ElementList } from "./element_list.js";
 import { iconOf } from "./icons.js";
 import { Files } from "./files.js";
 import { actOnChoice } from "./menus.js";
+import { boxOf } from "../net_nodes.js";
 import { problemOfArc } from "./net_edits.js";
 import { CommonParts } from "./common_parts.js";
 import { PlanDocument } from "./plan_document.js";
@@ -299,6 +300,8 @@ export class EditMode extends EventTarget {
       ["cut", "Cut", () => this.toClipboard(this.actions.cut())],
       ["paste", "Paste", () => this.actions.paste()],
       ["duplicate", "Duplicate", () => this.actions.duplicate()],
+      ["group", "Group", () => this.actions.group()],
+      ["ungroup", "Dissolve the group", () => this.actions.ungroup()],
       ["layout", "Lay the net out", () => this.actions.layOut()],
     ];
     const acts = new Map([
@@ -436,22 +439,28 @@ export class EditMode extends EventTarget {
 
   // -- renaming in place ---------------------------------------------------------------------------
 
-  /** Edit the name of a node or the weight of an arc in place; `typed`: the part of the name typed so far. */
+  /** Edit the name of a node, the title of a group ("group:TITLE") or the weight of an arc in place; `typed`: the part
+   * of the name typed so far. */
   beginRename(key, typed = null) {
     this.endRename(true);
     const { canvas, actions } = this;
     const node = canvas.byKey.get(key);
     const arc = canvas.arcsByKey.get(key)?.[0];
-    if (!node && !arc) return;
-    const [x, y] = node ? [node.x, node.y] : arc.shape.middle;
+    const title = key.startsWith("group:") ? key.slice("group:".length) : null;
+    const members = canvas.groups.get(title);
+    if (!node && !arc && !members) return;
+    const [left, top] = members ? boxOf(members, title) : [];
     const { k, x: x0, y: y0 } = canvas.camera.now;
+    const [x, y] = node ? [node.x, node.y] : members ? [left + 90 / k, top] : arc.shape.middle;
     const field = textField({
       id: "ed-name",
       class: "ed-name",
-      value: node ? node.name : String(arc.data.weight ?? 1),
+      value: node?.name ?? title ?? String(arc.data.weight ?? 1),
       "aria-label": node
         ? `Name of ${node.name}`
-        : `Weight of the arc ${arc.data.from} → ${arc.data.to}`,
+        : members
+          ? `Title of the group ${title}`
+          : `Weight of the arc ${arc.data.from} → ${arc.data.to}`,
       onkeydown: (event) => {
         const { key: pressed, ctrlKey, metaKey, shiftKey } = event;
         if (pressed === "Enter") this.endRename(true, true);
@@ -473,7 +482,12 @@ export class EditMode extends EventTarget {
     const { width, height } = canvas.container.getBoundingClientRect();
     field.style.left = `${Math.max(4, Math.min(width - 190, x * k + x0 - 90))}px`;
     field.style.top = `${Math.max(4, Math.min(height - 36, y * k + y0 + (node ? 24 * k : -14)))}px`;
-    const put = (text) => (node ? actions.rename(key, text.trim()) : actions.setWeight(key, text));
+    const put = (text) =>
+      node
+        ? actions.rename(key, text.trim())
+        : members
+          ? actions.renameGroup(title, text.trim())
+          : actions.setWeight(key, text);
     this.renaming = { field, put };
     $("ed-frame").append(field);
     field.focus();

@@ -12,6 +12,7 @@ function names(nodes) {
 /** The names that are valid in some position: (state, name of the entry) -> list. */
 export const NAMES = {
   places: ({ net }) => names(net.places),
+  nodes: ({ net }) => [...names(net.places), ...names(net.transitions)],
   placesAndAll: ({ net }) => ["*", ...names(net.places)],
   robots: ({ plan: { robots = {} } }) =>
     Array.isArray(robots) ? names(robots) : Object.keys(robots),

@@ -28,13 +28,38 @@ export function findNode(net, key) {
 /** A name that no node has: the wanted one, or that with the next free number. */
 export function freeName(net, wanted, taken = new Set()) {
   const names = new Set([...net.places, ...net.transitions].map((node) => node.name));
-  const free = (name) => !names.has(name) && !taken.has(name);
+  return nextFree(wanted, (name) => !names.has(name) && !taken.has(name));
+}
+
+/** A title that no group has, likewise. */
+export const freeTitle = (plan, wanted) =>
+  nextFree(wanted, (title) => !Object.hasOwn(groupsIn(plan), title));
+
+function nextFree(wanted, free) {
   if (free(wanted)) return wanted;
   const [, stem, digits] = /^(.*?)(\d*)$/su.exec(wanted);
   for (let n = digits ? Number(digits) + 1 : 2; ; n++) {
     const name = digits ? `${stem}${n}` : `${stem}_${n}`;
     if (free(name)) return name;
   }
+}
+
+/** The groups of a plan that may be unfinished: title -> names of nodes. */
+export const groupsIn = (plan) =>
+  Object.fromEntries(
+    Object.entries(plan?.groups ?? {}).filter(([, names]) => Array.isArray(names)),
+  );
+
+/** The plan with nodes in the group `title`, and in no other; in none if it is "". A group without nodes is gone. */
+export function withGroup(plan, names, title) {
+  const moved = new Set(names);
+  const groups = {};
+  for (const [other, nodes] of Object.entries(groupsIn(plan))) {
+    const left = nodes.filter((name) => !moved.has(name));
+    if (left.length || other === title) groups[other] = left;
+  }
+  if (title) groups[title] = [...(groups[title] ?? []), ...names];
+  return changed(plan, { groups: Object.keys(groups).length ? groups : undefined });
 }
 
 /** The net with each node changed to what `change(data, kind)` returns; the same net if nothing changes. */

@@ -3,6 +3,7 @@
 const SVG = "http://www.w3.org/2000/svg";
 const STYLES = [
   "fill",
+  "fill-opacity",
   "stroke",
   "stroke-width",
   "stroke-dasharray",

@@ -39,6 +39,7 @@ const placeCondition = (text, state) => {
  * entry, draw: a custom form, check: further checks, open: other names are allowed too, title: the name of the key
  * here}. */
 export const HINTS = {
+  "plan.groups.*": { items: NAMES.nodes },
   "plan.resource_places": { items: NAMES.places },
   "plan.spawn": { items: NAMES.actionPlaces, twice: true },
   "plan.chance": { items: NAMES.actionPlaces },

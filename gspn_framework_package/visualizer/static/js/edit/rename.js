@@ -283,6 +283,18 @@ function changedNames(state, place, transition, said) {
     if (now === null) said(`the condition “until” (${plan.until})`);
     put("until", now ?? undefined, false);
   }
+  if (plan.groups)
+    put(
+      "groups",
+      mapped(
+        plan.groups,
+        (title) => title,
+        (nodes) => {
+          const left = mappedList(nodes, node);
+          return left?.length === 0 ? null : left;
+        },
+      ),
+    );
   if (plan.subnets)
     put(
       "subnets",
