@@ -426,10 +426,10 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ),
     ("POST", "/api/edit/function"): ApiOperation(
         "edit_function",
-        "A function of a plan: its source; with a text, what is wrong with that; to save, write "
-        "it, if the version in the file is still this one.",
+        "A function of a plan: its source, or to look, why it has none; with a text, what is wrong "
+        "with that; to save, write it, if the version in the file is still this one.",
         ("id",),
-        {"function": TEXT, "text?": TEXT, "save?": FLAG, "version?": TEXT},
+        {"function": TEXT, "text?": TEXT, "look?": FLAG, "save?": FLAG, "version?": TEXT},
         {
             "file?": TEXT,
             "text?": TEXT,

@@ -427,6 +427,18 @@ def test_a_function_that_is_missing_is_written_in_the_form(editor, axe, picture,
     assert area.input_value().endswith("return 'sorted'") and not file.exists()
     picture(page, "function")
     axe(page, "a function is written")
+    resize(page, 1280, 800)
+    # and with the draft when one leaves, also if nothing else is unsaved
+    page.keyboard.press("Control+s")
+    page.wait_for_function("() => !gspn.edit.document.dirty")
+    page.click("#ed-close")
+    page.click("dialog button:has-text('Leave without saving')")
+    page.click("#ed-open")
+    page.click("#ed-draft-continue")
+    assert not page.evaluate("() => gspn.edit.document.dirty")
+    choose(page, "place:Sort")
+    area.wait_for()
+    assert area.input_value().endswith("return 'sorted'") and not file.exists()
     control(page, "source tasks.sort save").click()
     page.wait_for_selector(said + ":has-text('Written to tasks.py')")
     page.wait_for_selector(finding, state="detached")  # the check has seen it
@@ -441,6 +453,13 @@ def test_a_function_that_is_missing_is_written_in_the_form(editor, axe, picture,
     control(page, "plan.actions.Sort write").click()
     area.wait_for()
     assert area.input_value() == text
+    # a module that ships with Python is not offered for writing
+    with page.expect_response(lambda it: "edit/function" in it.url and it.json().get("problem")):
+        page.evaluate(
+            """() => gspn.edit.document.edit("Set", ({ plan }) => ({ plan: { ...plan, actions: {
+            ...plan.actions, Sort: "json.dumps" } } }))"""
+        )
+    page.wait_for_selector("[data-key='plan.actions.Sort write']", state="detached")
 
 
 def test_every_key_of_a_plan_has_a_form(editor, axe, picture):

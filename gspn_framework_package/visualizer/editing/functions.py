@@ -40,6 +40,17 @@ class FunctionSource(NamedTuple):
     version: str
 
 
+def is_source(value: object) -> bool:
+    """Whether a value of JSON has the fields of a :class:`FunctionSource`."""
+    fields = FunctionSource._fields
+    return (
+        isinstance(value, dict)
+        and value.keys() == set(fields)
+        and all(isinstance(value[key], str) for key in fields)
+        and len(value["text"]) <= LONGEST_FUNCTION
+    )
+
+
 def read_function(place: str, name: object) -> FunctionSource:
     """Read a function of a plan.
 

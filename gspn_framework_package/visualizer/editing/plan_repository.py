@@ -28,6 +28,7 @@ from gspn_framework_package.visualizer.editing.atomic import recover, write_all
 from gspn_framework_package.visualizer.editing.drafts import Drafts
 from gspn_framework_package.visualizer.editing.functions import (
     FunctionSource,
+    is_source,
     read_function,
     write_function,
 )
@@ -394,7 +395,10 @@ def _history(sent: object) -> Optional[JsonObject]:
         isinstance(sent.get(key), list) for key in ("done", "undone")
     ):
         raise UsageError("'history' does not list edits")
-    return {key: sent[key] for key in ("done", "undone")}
+    sources = sent.get("sources", {})
+    if not isinstance(sources, dict) or not all(map(is_source, sources.values())):
+        raise UsageError("'sources' are not those of functions")
+    return {"done": sent["done"], "undone": sent["undone"], "sources": sources}
 
 
 def template_names() -> List[str]:

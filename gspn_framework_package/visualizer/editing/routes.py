@@ -137,7 +137,12 @@ def _add_functions(app: flask.Flask, repository: PlanRepository, body: RequestBo
             source = repository.write_function(_path(), name, text, fields.get("version"))
             return answer(source._asdict())
         if text is None:
-            return answer(repository.function(_path(), name)._asdict())
+            try:
+                return answer(repository.function(_path(), name)._asdict())
+            except GspnError as error:
+                if fields.get("look") is not True:
+                    raise
+                return answer({"problem": error.message})
         return answer(problem_of_function(name, text))
 
 

@@ -152,6 +152,31 @@ def test_nothing_is_written_or_read_outside_of_the_plans_folder(folder, editor):
     assert contents(folder.parent) == before
 
 
+def test_who_looks_hears_what_cannot_be_written(folder, editor):
+    (folder / "patrol" / "tasks.py").write_text("class sweep:\n    pass\n")
+    for name in ("json.dumps", "away.tasks.sweep", "tasks.sweep", "no name"):
+        assert editor.ask(name, look=True).keys() == {"problem"}
+    found = editor.ask("tasks.other", look=True)
+    assert found == {"file": "tasks.py", "text": "", "version": ""}
+
+
+def test_a_draft_keeps_what_is_typed(editor):
+    opened = editor.get("/api/edit" + KEY).get_json()
+    source = {"file": "tasks.py", "text": "def sw", "version": ""}
+    sent = {"etag": opened["etag"], "document": opened["document"]}
+    for sources, status in (
+        ({"tasks.sweep": source}, 200),
+        ({"tasks.sweep": {**source, "text": "x" * (LONGEST_FUNCTION + 1)}}, 400),
+        ({"tasks.sweep": "def sw"}, 400),
+        ([source], 400),
+    ):
+        history = {"done": [], "undone": [], "sources": sources}
+        answer = editor.post("/api/edit/draft" + KEY, {**sent, "history": history})
+        assert answer.status_code == status, answer.get_json()
+    draft = editor.get("/api/edit" + KEY).get_json()["draft"]
+    assert draft["history"]["sources"] == {"tasks.sweep": source}
+
+
 def test_only_who_may_edit_reads_writes_and_checks_functions(folder):
     tokens = {"token": "o" * 20, "viewer_token": "v" * 20}
     client = Editor(folder, Guard("0.0.0.0", 8090, **tokens))

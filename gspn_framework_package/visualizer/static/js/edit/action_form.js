@@ -234,7 +234,7 @@ function functionHelp(form, lens, value) {
         known.parameters?.length > 0 &&
           ` Parameters: ${known.parameters.map(parameterText).join(", ")}.`,
       ),
-    functionWriter(form, lens, value, known),
+    functionWriter(form, lens, value),
   ];
 }
 

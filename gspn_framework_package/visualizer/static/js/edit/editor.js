@@ -3,6 +3,7 @@
 import { $, attempt } from "../dom.js";
 import { get } from "../api.js";
 import { hideOpening } from "../opening.js";
+import { hasUnsaved } from "./files.js";
 import { EditMode, mayLeave } from "./mode.js";
 import { mayEdit } from "./new_plan.js";
 
@@ -29,7 +30,7 @@ export class Editor {
 
   /** The keys of the documents with unsaved work. */
   get unsaved() {
-    return [...this.kept].filter(([, { document }]) => document.dirty).map(([key]) => key);
+    return [...this.kept].filter(([, kept]) => hasUnsaved(kept)).map(([key]) => key);
   }
 
   showButtons() {

@@ -38,6 +38,10 @@ const moment = (text) => {
   return Number.isNaN(at.getTime()) ? String(text) : at.toLocaleString();
 };
 
+/** Whether there is work that is not in files: edits, or sources of functions. */
+export const hasUnsaved = ({ document, opened }) =>
+  document.dirty || Object.keys(opened.sources ?? {}).length > 0;
+
 /** `mode.files`. */
 export class Files {
   constructor(mode) {
@@ -126,6 +130,18 @@ export class Files {
   /** What a request says about the state that it sends. */
   basis(etag = this.mode.opened.etag) {
     return { etag, version: this.mode.opened.version, page: this.mode.visit };
+  }
+
+  /** The sources of functions that are typed and not written yet: name -> {file, version, text}. */
+  get sources() {
+    return (this.mode.opened.sources ??= {});
+  }
+
+  /** Keep such a source with the draft; without one, there is nothing left to write. */
+  keepSource(name, source) {
+    if (source) this.sources[name] = source;
+    else delete this.sources[name];
+    this.later();
   }
 
   /** Whether the server has a draft. */
@@ -224,6 +240,7 @@ export class Files {
       version: saved.etag,
       common: state,
       draft: null,
+      keptSources: "{}",
     });
     this.draft = null;
     this.hideBanner();
@@ -331,9 +348,8 @@ export class Files {
   later() {
     this.refresh();
     clearTimeout(this.timer);
-    const { document: edited } = this.mode;
     const alone = !this.mode.together?.others.length;
-    if (!edited.dirty && alone) {
+    if (!hasUnsaved(this.mode) && alone) {
       if (this.stored && !this.draft) this.dropDraft();
       return;
     }
@@ -353,17 +369,19 @@ export class Files {
   async keepNow(state) {
     const { mode } = this;
     const { opened } = mode;
-    if (state === opened.common || this.draft) return;
-    if (same(state, opened.common)) {
+    const sources = JSON.stringify(this.sources);
+    const typed = sources !== (opened.keptSources ?? "{}");
+    if ((state === opened.common && !typed) || this.draft) return;
+    if (same(state, opened.common) && !typed) {
       opened.common = state;
       return;
     }
     try {
-      const history = packedHistory(mode.document, state);
+      const history = { ...packedHistory(mode.document, state), sources: JSON.parse(sources) };
       const sent = { ...this.basis(), document: state, history };
       const { version } = await this.request("draft", sent);
-      Object.assign(opened, { version, common: state });
-      if (state === mode.document.state && mode.document.dirty)
+      Object.assign(opened, { version, common: state, keptSources: sources });
+      if (state === mode.document.state && hasUnsaved(mode))
         this.note.textContent = `Draft stored at ${new Date().toLocaleTimeString()}`;
     } catch (error) {
       if (error.status === CHANGED && error.data.theirs) {
@@ -434,7 +452,11 @@ export class Files {
 
   /** Go on with a draft and its history; without one, undo restores the content of the files. */
   continueDraft({ document: drafted, history }) {
-    const { document: edited } = this.mode;
+    const { document: edited, opened } = this.mode;
+    opened.sources = history?.sources ?? {};
+    opened.keptSources = JSON.stringify(opened.sources);
+    this.mode.dispatchEvent(new CustomEvent("functions"));
+    if (same(edited.state, drafted)) return;
     if (history?.done.length) edited.restore(drafted, unpackedHistory(history, drafted));
     else edited.edit("Continue the draft", () => drafted);
   }
@@ -474,7 +496,8 @@ export class Files {
   close() {
     this.closed = true;
     clearTimeout(this.timer);
-    const { state, dirty } = this.mode.document; // edits made just before
-    if (!this.draft && !this.saving && dirty) this.inLine(() => this.keepNow(state));
+    const { state } = this.mode.document; // edits made just before
+    if (!this.draft && !this.saving && hasUnsaved(this.mode))
+      this.inLine(() => this.keepNow(state));
   }
 }

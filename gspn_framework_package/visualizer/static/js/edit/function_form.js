@@ -30,18 +30,39 @@ function stubOf(name, place, settings, leaving) {
 `;
 }
 
-/** The button that opens the source of an action's function or, once it is open, the source. */
-export function functionWriter(form, lens, action, known) {
+/** What the server says of a function that the page may write: its source, or why not; undefined until it has answered.
+ * It is asked again when the palette has changed. */
+function lookedUp(form, name, ask) {
+  if (form.looked?.palette !== form.palette) form.looked = { palette: form.palette, at: new Map() };
+  const { at } = form.looked;
+  if (!at.has(name)) {
+    at.set(name, undefined);
+    const take = (found) => {
+      at.set(name, found);
+      form.refresh();
+    };
+    ask({ look: true }).then(take, () => {});
+  }
+  return at.get(name);
+}
+
+/** The button that opens the source of an action's function, if it is in the plan's folder or may be put there; once it
+ * is open, the source. */
+export function functionWriter(form, lens, action) {
   const name = typeof action === "string" ? action : action?.function;
   if (!form.palette || !/\.[A-Za-z]\w*$/.test(name ?? "")) return null;
-  form.sources ??= new Map(); // what is written and not yet saved stays when something else is selected
+  const ask = (fields) =>
+    post("edit/function", { function: name, ...fields }, { id: form.mode.id });
+  form.sources ??= new Map(); // what is open stays when something else is selected
+  const typed = form.mode.files?.sources[name];
+  if (typed && !form.sources.has(name)) form.sources.set(name, new Source(form, name, ask, typed));
   const open = form.sources.get(name);
   if (open) return open.element;
+  const there = lookedUp(form, name, ask);
+  if (!there || there.problem) return null;
   const key = `${lens.key} write`;
   const begin = () =>
     attempt(async () => {
-      const ask = (fields) =>
-        post("edit/function", { function: name, ...fields }, { id: form.mode.id });
       const found = await ask({});
       found.text ||= stubOf(
         name.split(".").pop(),
@@ -53,12 +74,12 @@ export function functionWriter(form, lens, action, known) {
       form.wanted = `source ${name}`;
       form.refresh();
     });
-  return h("div.buttons", form.button(key, known ? "Edit its source" : "Write it", begin));
+  return h("div.buttons", form.button(key, there.text ? "Edit its source" : "Write it", begin));
 }
 
 class Source {
   constructor(form, name, ask, found) {
-    Object.assign(this, { form, name, ask, version: found.version });
+    Object.assign(this, { form, name, ask, file: found.file, version: found.version });
     this.area = h("textarea", {
       "data-key": `source ${name}`,
       "aria-label": `Source of ${name}`,
@@ -81,6 +102,7 @@ class Source {
     );
     this.area.addEventListener("input", () => {
       form.typing = true;
+      this.keep();
       this.later();
     });
     this.area.addEventListener("keydown", (event) => this.indent(event));
@@ -99,6 +121,12 @@ class Source {
     event.preventDefault();
     this.area.setRangeText(`\n${space}`, at, end, "end");
     this.area.dispatchEvent(new Event("input"));
+  }
+
+  /** Keep what is typed with the draft. */
+  keep() {
+    const { file, version } = this;
+    this.form.mode.files.keepSource(this.name, { file, version, text: this.area.value });
   }
 
   later() {
@@ -136,7 +164,10 @@ class Source {
       save: true,
     });
     this.version = version;
-    if (this.area.value === sent) this.area.value = text;
+    if (this.area.value === sent) {
+      this.area.value = text;
+      this.form.mode.files.keepSource(this.name);
+    } else this.keep();
     this.says(`Written to ${file}`, false);
     this.form.mode.dispatchEvent(new CustomEvent("functions"));
   }
@@ -144,6 +175,7 @@ class Source {
   close() {
     clearTimeout(this.timer);
     this.form.sources.delete(this.name);
+    this.form.mode.files.keepSource(this.name);
     this.form.refresh();
   }
 }

@@ -101,6 +101,7 @@ export class PropertyPanel extends PlanForm {
   constructor(mode) {
     super(mode, "properties", "Properties");
     this.listen(mode, "select");
+    this.listen(mode, "functions");
   }
 
   concerns() {
