@@ -60,7 +60,7 @@ export function settle(node) {
 
 const [BESIDE, OVER] = [40, 56]; // px from nodes to the box around them: at its sides, and at the top with its title
 const [FURTHER, HIGHER] = [8, 20]; // px that it is larger for each level of boxes inside it
-const WIDE = 7; // px of a character of its title
+const WIDE = 8; // px of a character of its title
 
 /** The bounds of the box around nodes: [left, top, right, bottom]. `level`: how deeply boxes inside it are nested. */
 export function boxOf(nodes, title, level = 0) {
@@ -78,7 +78,7 @@ export function boxesAround(list) {
     const level = Math.max(0, ...inside.map((box) => box.level + 1));
     const [x, y, right, bottom] = boxOf(members, title, level);
     const box = { x, y, width: right - x, height: bottom - y, rx: 12 };
-    const text = s("text", { x: x + 12, y: y + 18 }, title);
+    const text = s("text", { x: x + 12, y: y + 8 }, title);
     drawn.push({ nodes, level, element: s("g.box", { "data-box": title }, s("rect", box), text) });
   }
   return drawn.reverse().map(({ element }) => element);
