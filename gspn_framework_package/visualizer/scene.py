@@ -176,5 +176,6 @@ def _plan(plan: Optional[Plan]) -> Optional[Dict[str, Any]]:
         "seed": plan.seed,
         "robots": [[r.name, r.place] for r in plan.robots],
         "policy_rows": len(plan.policy.rows),
+        "environment": plan.simulate_environment,
         "notes": list(plan.notes),
     }

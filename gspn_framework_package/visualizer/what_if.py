@@ -144,7 +144,9 @@ def what_if_in_form(fields: RequestFields, plan: Plan) -> WhatIf:
         given = fields.get(key, {})
         if not isinstance(given, dict) or not set(given) <= set(known[key]):
             raise UsageError("'%s' names what cannot be changed" % key)
-        return {name: factor(value) for name, value in given.items()}
+        factors_of = {name: factor(value) for name, value in given.items()}
+        # times that stay as they are make no robot differ from others, which the chain cannot tell
+        return {name: number for name, number in factors_of.items() if number != 1}
 
     robots = whole_field(fields, "robots", known["robots"], 1, max(20, 3 * known["robots"]))
     slower = factor(fields.get("slower", 1.0))

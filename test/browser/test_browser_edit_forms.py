@@ -414,7 +414,7 @@ def test_a_function_that_is_missing_is_written_in_the_form(editor, axe, picture,
     # what is wrong is said with its line; a new line begins below the last one
     area.press("Control+End")
     page.keyboard.type("for")
-    page.wait_for_selector(said + ".wrong:has-text('Line 7: invalid syntax')")
+    page.wait_for_selector(said + ".wrong:has-text('Line 8: invalid syntax')")
     area.fill(stub.replace("    return None\n", "    if box:"))
     area.press("Control+End")
     page.keyboard.press("Enter")

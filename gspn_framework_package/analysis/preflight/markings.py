@@ -11,7 +11,11 @@ import numpy as np
 
 from gspn_framework_package.analysis.plan.markings import Finding, PlanMarkings
 from gspn_framework_package.analysis.plan.structure import may_lose_robots
-from gspn_framework_package.analysis.preflight.mending import missing_row
+from gspn_framework_package.analysis.preflight.mending import (
+    bounded,
+    missing_row,
+    resources_given_back,
+)
 from gspn_framework_package.analysis.preflight.report import (
     LISTED,
     Checklist,
@@ -389,6 +393,7 @@ class MarkingChecks:
                 "%s can grow without bound" % name_list(grows),
                 grows=grows,
                 places=unknown,
+                **bounded(self.plan, grows),
             )
             return
         seen = markings.bounds()
@@ -452,6 +457,7 @@ class MarkingChecks:
                 **lost[0].to_json(),
                 count=len(lost),
                 others=[finding.to_json() for finding in lost[1:LISTED]],
+                **resources_given_back(self.plan),
             )
 
     def _decide_policy(self, markings: PlanMarkings) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Dict, Iterable, List, Mapping, Optional
 
+from gspn_framework_package.analysis.preflight.report import SHARED_EFFORT
+from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.subnet import SEPARATOR
 
@@ -14,6 +16,9 @@ Mend = Dict[str, Any]
 """``{"label": what it does, "set": [[path, value], ...]}``. A path is a list of keys from the plan
 file on, through its net and its policy wherever these are; in a list of nodes, a key is a name, and
 ``"-"`` is the end of a list."""
+
+MENDED_ROOM = 20
+"""Tokens that a place has room for once its growth is mended."""
 
 
 def mended(label: str, changes: Iterable[List[Any]]) -> Dict[str, Mend]:
@@ -45,6 +50,51 @@ def tasks_given_back(plan: Plan, places: Iterable[str]) -> Dict[str, Mend]:
         "give the task back to %s" % queue,
         ([["on_evict", place, queue], 1] for place in places),
     )
+
+
+def resources_given_back(plan: Plan) -> Dict[str, Mend]:
+    """A robot that is lost gives back what it holds in its place, as invariants say, where
+    ``on_evict`` says nothing about that resource."""
+    from gspn_framework_package.analysis.structure.invariants import place_invariants
+
+    changes = []
+    try:
+        found = place_invariants(plan.net, SHARED_EFFORT)
+    except LimitError:
+        return {}
+    for weights in (invariant.weights for invariant in found):
+        held = [name for name in weights if name in plan.resource_places]
+        for place in weights if len(held) == 1 else ():
+            number, rest = divmod(weights[place], weights[held[0]])
+            if place not in held and not rest and held[0] not in plan.on_evict.get(place, {}):
+                changes.append([["on_evict", place, held[0]], number])
+    return mended("give back what a lost robot held", changes)
+
+
+def bounded(plan: Plan, places: Iterable[str]) -> Dict[str, Mend]:
+    """Each of these places has room for so many tokens and no more."""
+    return mended(
+        "room for %d tokens" % MENDED_ROOM,
+        (
+            [["net", "places", place, "capacity"], max(MENDED_ROOM, plan.net.place(place).tokens)]
+            for place in places
+        ),
+    )
+
+
+def rows_for_all_markings(plan: Plan, places: Iterable[str]) -> Dict[str, Mend]:
+    """A row for the robots in each of these places, whatever the marking, which chooses by the
+    weights."""
+    net, rows = plan.net, []
+    for place in places:
+        leaving = net.immediate_from[net.place_number(place)]
+        weights = {net.transitions[t].name: net.transitions[t].number for t in leaving}
+        choose = _shares(weights)
+        if choose is None or plan.policy.scopes:
+            return {}
+        rows.append({"marking": ["-"] * len(plan.policy.places), "choose": choose})
+    label = "add a row for each of them" if len(rows) > 1 else "add a row for it"
+    return mended(label, ([["policy", "rows", "-"], row] for row in rows))
 
 
 def missing_row(plan: Plan, finding: Finding) -> Dict[str, Mend]:

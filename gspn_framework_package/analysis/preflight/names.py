@@ -7,15 +7,18 @@ import itertools
 from importlib.util import find_spec
 from typing import Any, Callable, Dict, List, Optional, Sequence, Set
 
-from gspn_framework_package.analysis.preflight.report import LISTED, Checklist, Severity, name_list
+from gspn_framework_package.analysis.preflight.report import (
+    LISTED,
+    SHARED_EFFORT,
+    Checklist,
+    Severity,
+    name_list,
+)
 from gspn_framework_package.model.action import Action, ServerAction
 from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Transition
 from gspn_framework_package.model.plan import Transport
 from gspn_framework_package.model.plan_timing import NO_REQUEST, PlanRules
-
-SHARED_EFFORT = 100_000
-"""Maximum number of steps of a search for invariants that keep robots from sharing a server."""
 
 ServerProbe = Callable[[str, str, Action], Optional[str]]
 """Called with (robot, place, action) to check whether the action's server answers; returns None if

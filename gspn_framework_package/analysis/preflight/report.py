@@ -129,6 +129,10 @@ class PreflightReport(NamedTuple):
         )
 
 
+SHARED_EFFORT = 100_000
+"""Maximum number of steps of a search for invariants: which robots share a server, and what they
+hold."""
+
 LISTED = 10
 """Largest number of findings of one kind, and of names in one sentence, that a report lists; it
 always gives the total number."""

@@ -222,8 +222,15 @@ class StructureChecks:
             if len(self.net.immediate_from[self.net.place_number(name)]) > (not plan.strict)
         ]
         weighty = not any(t.is_controllable for t in self.net.transitions)
-        ignored = [name for name in asking if self._cover.never_speaks(self.net.place_number(name))]
+        ignored = [
+            name
+            for name in plan.action_places
+            if self.net.immediate_from[self.net.place_number(name)]
+            and self._cover.never_speaks(self.net.place_number(name))
+        ]
         if ignored:
+            from gspn_framework_package.analysis.preflight.mending import rows_for_all_markings
+
             self._list.add(
                 "policy",
                 Severity.WARNING,
@@ -231,6 +238,7 @@ class StructureChecks:
                 "it waits there forever, unless its action names a transition" % name_list(ignored),
                 places=ignored,
                 waits=True,
+                **rows_for_all_markings(plan, ignored),
             )
         if not asking:
             self._list.add(

@@ -42,6 +42,20 @@ FAULTS = 12
 STATES_AT_LAST = 50
 """Markings visited after a timeout, to report what was not decided."""
 
+OF_ROBOTS = {
+    "actions",
+    "conservative",
+    "creates_robots",
+    "dead_markings",
+    "ends_at_once",
+    "exploration",
+    "never_fire",
+    "resource_bounds",
+    "timeless_cycle",
+    "waiting",
+}
+"""The checks of what robots do, which say nothing as long as there are none."""
+
 LEVELS = {Severity.REFUSED: "error", Severity.WARNING: "warning", Severity.OK: "note"}
 
 _Element = Dict[str, str]
@@ -93,13 +107,14 @@ def findings(
         least = min(limit, STATES_AT_LAST)
         report = check_all(plan, limit=least, standalone=standalone, seconds=0)
     found = [_finding("note", note, nodes.named_in(note)) for note in plan.notes]
-    found += [*_loose(nodes), *_as_far_as_drawn(_of_report(report, plan, nodes), plan, nodes)]
+    begun = bool(plan.robots) or standalone and any(p.tokens for p in plan.net.places)
+    found += [*_loose(nodes), *_as_far_as_drawn(_of_report(report, plan, nodes), begun, nodes)]
     order = ["error", "warning", "note"]
     found.sort(key=lambda finding: order.index(finding["level"]))
     return {
         "findings": found,
         "valid": not report.refused,
-        "doubts": report.doubts,
+        "doubts": report.doubts if begun else ["has no robots yet"],
         "decided": report.complete
         and not any(item.details.get("undecided") for item in report.items),
         "states": report.states,
@@ -376,17 +391,17 @@ def _loose(nodes: DocumentNodes) -> Iterable[Dict[str, Any]]:
 
 
 def _as_far_as_drawn(
-    findings: Iterable[Dict[str, Any]], plan: Plan, nodes: DocumentNodes
+    findings: Iterable[Dict[str, Any]], begun: bool, nodes: DocumentNodes
 ) -> Iterable[Dict[str, Any]]:
     """The findings, without those that cannot be judged yet: on the action of a place without arcs,
-    and on what can fire in a net without tokens."""
-    ends, empty = nodes.ends(), not plan.robots and not any(p.tokens for p in plan.net.places)
+    and, unless a run could have ``begun`` with somebody in it, on what robots do."""
+    ends = nodes.ends()
     for found in findings:
-        if found["check"] == "actions" and found["elements"]:
+        if found["check"] in OF_ROBOTS and not begun:
+            yield {**found, "level": "note"}
+        elif found["check"] == "actions" and found["elements"]:
             drawn = [each for each in found["elements"] if each["name"] in ends]
             yield {**found, "elements": drawn} if drawn else {**found, "level": "note"}
-        elif found["check"] == "never_fire" and empty:
-            yield {**found, "level": "note"}
         else:
             yield found
 

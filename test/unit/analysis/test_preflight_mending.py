@@ -63,6 +63,25 @@ def tasks(plan):
     plan["net"]["arcs"].pop()
 
 
+def silent(plan):
+    plan["net"]["transitions"][2] = {"name": "done"}
+    plan["policy"] = {"places": ["Queue"], "rows": [{"marking": ["-"], "choose": {"done": 1}}]}
+
+
+def growing(plan):
+    plan["net"]["transitions"].append({"name": "order", "timed": True, "rate": 1})
+    plan["net"]["arcs"].append({"from": "order", "to": "Queue"})
+
+
+def held(plan):
+    net = plan["net"]
+    plan["robots"]["s"] = "Hub"
+    net["places"][0]["tokens"] = 2
+    net["places"].pop(2), plan["actions"].pop("Right")
+    net["transitions"] = net["transitions"][::2]
+    net["arcs"] = [a for a in net["arcs"] if not {a["from"], a["to"]} & {"right", "Right", "back"}]
+
+
 def put(part, path, value):
     step, rest = path[0], path[1:]
     if step == "-":
@@ -89,6 +108,9 @@ def report(folder, plan):
         (strict, "policy", "add a row for this marking"),
         (strict_with_rows, "policy", "add a row for this marking"),
         (tasks, "tasks", "give the task back to Queue"),
+        (silent, "policy", "add a row for it"),
+        (growing, "resource_bounds", "room for 20 tokens"),
+        (held, "dead_after_loss", "give back what a lost robot held"),
     ],
 )
 def test_a_finding_that_is_mended_as_it_says_is_gone(tmp_path, fault, found, label):

@@ -232,6 +232,9 @@ def test_what_is_being_drawn_is_judged_once_there_is_something_to_judge() -> Non
     before = checked(document)
     assert {f["level"] for f in before["findings"]} == {"note"} and not before["valid"]
     document["net"]["arcs"] += [{"from": "P3", "to": "T3"}, {"from": "T3", "to": "P4"}]
+    drawn = checked(document)
+    assert not errors(drawn) and drawn["doubts"] == ["has no robots yet"] and not drawn["valid"]
+    document["net"]["places"][3]["tokens"] = 1
     judged = [f for f in checked(document)["findings"] if f["level"] == "error"]
     assert [sorted(e["name"] for e in f["elements"]) for f in judged] == [["P3", "P4"]]
     assert not [f for f in checked(document)["findings"] if f["level"] == "warning"]

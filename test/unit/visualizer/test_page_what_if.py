@@ -116,6 +116,7 @@ def test_where_there_is_no_exact_answer_it_says_why() -> None:
     robot = plan.robots[0].name
     changed = what_if_in_form({"each": {robot: 2}}, plan).apply(plan)
     assert pace(plan, each={robot: 8}) < pace(plan)
+    assert not what_if_in_form({"slower": 2, "each": {robot: 1}}, plan).apply(plan).own_times
     assert "do not distinguish robots" in exact_paces(changed, 1.0, lambda *_: None)["why"]
 
 

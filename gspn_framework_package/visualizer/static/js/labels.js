@@ -157,6 +157,7 @@ export class Labels {
         sx + w * k,
         sy + h * k,
       ]);
+      if (node.sign) this.fixed.add([sx + 8 * k, sy - 29 * k, sx + 26 * k, sy - 11 * k]);
     }
     if (view.arcs.all.length <= ARCS) this.sampleArcs(this.points, view.camera.now);
     for (const element of view.container.parentElement.querySelectorAll(

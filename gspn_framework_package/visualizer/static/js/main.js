@@ -568,11 +568,17 @@ class Page {
   async start() {
     const { scene } = this.model;
     const robots = scene.plan.robots.map(([name, place]) => `${name} in ${place}`).join(", ");
+    const yours = scene.transitions
+      .filter(({ environment, event, submits }) => environment && !event && !submits)
+      .map(({ name }) => name);
     const answer = await ask(
       "Start the execution?",
       [
         h("p", `The actions of the plan “${scene.plan.name}” will run on this server now.`),
         h("p.muted", robots.length > 600 ? `${scene.plan.robots.length} robots` : robots),
+        yours.length > 0 &&
+          !scene.plan.environment &&
+          h("p.muted", `Fired by you alone, in the inspector: ${yours.join(", ")}`),
       ],
       cancelOr("Start", "start"),
     );

@@ -30,6 +30,7 @@ export const WORDS = {
   immediate: "immediate transition",
 };
 const NEXT = 100; // px from a node to one that is added after it
+const EDGE = 50; // px from the edge of the view to a part that is dropped there
 
 let kept = ""; // the last copy, used where the system's clipboard cannot be read
 
@@ -444,11 +445,16 @@ export class Actions {
     const { canvas } = this.mode;
     const nodes = [...part.places, ...part.transitions];
     const scale = spot ? 1 : canvas.scale;
-    const middle = (axis) => {
+    const { clientWidth, clientHeight } = canvas.container;
+    const [low, high] = [canvas.toDrawing(0, 0), canvas.toDrawing(clientWidth, clientHeight)];
+    /** How far to move along an axis: with the middle to the spot, but with all of it in view. */
+    const way = (axis) => {
       const values = nodes.map(({ position }) => position[axis]);
-      return (Math.min(...values) + Math.max(...values)) / 2;
+      const [least, most] = [Math.min(...values), Math.max(...values)];
+      const inside = Math.min(spot[axis] - (least + most) / 2, high[axis] - EDGE - most);
+      return onGrid(Math.max(inside, low[axis] + EDGE - least));
     };
-    const [right, down] = [0, 1].map((i) => (spot ? onGrid(spot[i] - middle(i)) : 0));
+    const [right, down] = spot ? [way(0), way(1)] : [0, 0];
     const drawn = nodes.map(({ position: [x, y] }) => [x * scale + right, y * scale + down]);
     // next to the original, or farther away if that spot is taken
     let shift = 0;

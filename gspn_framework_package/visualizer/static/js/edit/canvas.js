@@ -515,6 +515,7 @@ export class Canvas extends EventTarget {
   mark(marks) {
     this.marks = marks;
     for (const node of this.nodes) this.drawMark(node);
+    this.labels.later();
   }
 
   drawMark(node) {

@@ -11,7 +11,8 @@ import { problemOfArc } from "./net_edits.js";
 
 const HANDLE = 36; // px from the centre of a node to its handles
 const REACH = 58; // the handles of a node stay while the pointer is this close (px)
-const RIM = 3; // px inside the outline of a place where its rim begins, from which arcs are drawn
+const RIM = 3; // px inside the outline of a node where its rim begins, from which arcs are drawn
+const GRIP = 7; // px from the middle line of a bar within which a drag moves it
 const ARC = 7; // px from the pointer within which an arc is hit
 const BEND = 9; // px from the pointer within which a bend is hit
 const SIDES = [
@@ -69,8 +70,7 @@ export class CanvasPointer extends Pointer {
   onRim(node, [x, y]) {
     const [dx, dy] = [Math.abs(node.x - x), Math.abs(node.y - y)];
     if (node.type === "place") return Math.hypot(dx, dy) > RADIUS - RIM;
-    const [w, h] = BAR[node.kind];
-    return dx > w + RIM || dy > h;
+    return dx > GRIP || dy > BAR[node.kind][1] - RIM;
   }
 
   arcAt(point) {

@@ -70,6 +70,7 @@ export class Checks {
   later() {
     if (this.asked && onlyMoved(this.asked, this.mode.document.state)) return;
     this.revision += 1; // answers that arrive now are about another state
+    for (const button of this.list.querySelectorAll(".mend")) button.disabled = true; // so is this
     this.showState("checking", "Checking … the findings below are those before the last edit.");
     this.wait();
   }
@@ -126,7 +127,8 @@ export class Checks {
     const count = (level) => findings.filter((finding) => finding.level === level).length;
     const warnings = count("warning");
     const more = warnings ? `, ${plural(warnings, "warning")}` : "";
-    const errors = count("error"); // an empty net cannot be judged yet
+    const errors = count("error"); // an empty net, or one without robots, cannot be judged yet
+    if (!this.mode.document.net.places.length) return "Nothing drawn";
     if (!valid)
       return errors ? `Not valid: ${plural(errors, "error")}${more}` : `Not finished${more}`;
     return doubts.length ? `May run, but ${doubts.join(", and ")}${more}` : `May run${more}`;
@@ -202,7 +204,7 @@ export class Checks {
           })
         : "",
       mend
-        ? h("button", {
+        ? h("button.mend", {
             text: `Mend it: ${mend.label}`,
             onclick: () => this.mend(mend),
           })

@@ -3,7 +3,8 @@
 import { $, h, s } from "../dom.js";
 
 /** Name -> its nodes, and its arcs from each node to the next. Before the name of a node stands what it is: P a place
- * of robots, R a resource place, T a timed and I an immediate transition; behind it its position (px) and tokens. */
+ * of robots, R a resource place, T a timed and I an immediate transition; behind it its position (px), tokens and
+ * capacity. */
 const PARTS = {
   "Patrol cell": [
     "P Look 0 0,T seen 80 0,P Decide 160 0,I stay 80 70,I go 240 0",
@@ -18,7 +19,7 @@ const PARTS = {
     "Low plug_in Charge charged Charger plug_in",
   ],
   Queue: [
-    "T order 0 0,R Orders 80 0,I take 160 0,P Idle 160 70,P Serve 240 0,T served 240 70",
+    "T order 0 0,R Orders 80 0 0 20,I take 160 0,P Idle 160 70,P Serve 240 0,T served 240 70",
     "order Orders take Serve served Idle take",
   ],
   Rendezvous: [
@@ -32,11 +33,16 @@ const MARGIN = 30; // px around a picture
 function partOf([nodes, chains]) {
   const part = { places: [], transitions: [], arcs: [], actions: {}, resources: [] };
   for (const text of nodes.split(",")) {
-    const [kind, name, x, y, tokens] = text.split(" ");
+    const [kind, name, x, y, tokens, capacity] = text.split(" ");
     const node = { name, position: [Number(x), Number(y)] };
     if (kind === "T") part.transitions.push({ ...node, timed: true, rate: 1 });
     else if (kind === "I") part.transitions.push(node);
-    else part.places.push(tokens ? { ...node, tokens: Number(tokens) } : node);
+    else
+      part.places.push({
+        ...node,
+        ...(tokens && { tokens: Number(tokens) }),
+        ...(capacity && { capacity: Number(capacity) }),
+      });
     if (kind === "P") part.actions[name] = null;
     if (kind === "R") part.resources.push(name);
   }

@@ -26,6 +26,7 @@ function stubOf(name, place, settings, leaving) {
 
     Returns the transition to fire: ${ends}.
     """
+    is_cancelled.wait(1)  # instead of work: a second, or until the action is to end
     return None
 `;
 }

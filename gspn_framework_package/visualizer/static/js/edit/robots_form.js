@@ -1,7 +1,9 @@
 // The robots of a plan: their names, initial places and own actions.
 
 import { h } from "../dom.js";
+import { Lens } from "./form.js";
 import { NAMES } from "./names.js";
+import { changed } from "./net_edits.js";
 import { group, schemaField } from "./schema_form.js";
 
 /** The robots of a plan as a list of {name, place, actions, capabilities}; robots without a name in the plan follow
@@ -28,11 +30,30 @@ function written(robots, before) {
     : Object.fromEntries(robots.map(({ name, place }) => [name, place]));
 }
 
-/** A lens at the list of robots. */
+/** A lens at the list of robots. Each place gets or loses a token for each robot that comes or goes. */
 export const robotsLens = (form) =>
-  form.plan("robots", false).as(
+  new Lens(
+    "plan.robots",
     () => robotsOf(form.state),
-    (robots, before) => robots && written(robots, before),
+    (robots, label, merge) =>
+      form.document.edit(
+        label,
+        (state) => {
+          const { plan, net } = state;
+          const before = robotsOf(state);
+          const count = (list, name) => list.filter(({ place }) => place === name).length;
+          const places = net.places.map((place) => {
+            const more = count(robots, place.name) - count(before, place.name);
+            const tokens = Math.max(0, (place.tokens ?? 0) + more) || undefined;
+            return more ? changed(place, { tokens }) : place;
+          });
+          return {
+            plan: { ...plan, robots: written(robots, plan.robots) },
+            net: { ...net, places },
+          };
+        },
+        merge,
+      ),
   );
 
 function free(robots) {
