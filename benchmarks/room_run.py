@@ -1,5 +1,5 @@
-"""A plan of the patrol in the simulated room without ROS: the plan's own token game decides, and
-the robots really drive.
+"""A plan in the simulated room without ROS, by default the patrol's: the plan's own token game
+decides, and the robots really drive.
 
 Time is that of the physics, so a run is as fast as the machine. Its log is a real event log, whose
 clocks show the physics' time: ``gspn verify``, ``fit`` and ``compare`` read it.
@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import random
 import uuid
-from typing import Dict, List, NamedTuple, Optional, Tuple
+from collections import Counter, deque
+from typing import Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.actions import ActionFailed
+from gspn_framework_package.execution.environment import next_of_clock
 from gspn_framework_package.execution.event_log import header
 from gspn_framework_package.execution.firing import CancelAction, Ended, StartAction
 from gspn_framework_package.execution.ledger import Ledger
@@ -34,22 +36,44 @@ class _Running(NamedTuple):
     steps: patrol.ActionSteps
 
 
+Steps = Callable[[SimulatedRobot, Room, str], patrol.ActionSteps]
+"""Makes the steps of a robot's action in a place."""
+
+
 class RoomRun:
-    """One run of the patrol's plan with robots that drive.
+    """One run of a plan with robots that drive.
 
     :param plan: plans/patrol, or a plan with the same places; for as many robots as it names.
     :param room: the room, with a location for each of the plan's.
     :param seed: seed of the start headings and of the policy.
     :param log: the file of the event log, a new one; None: no log.
+    :param steps: for a plan with other places: what robots do in them.
+    :param comes: what comes from outside: (time in s, entry), in order.
+    :param day: how fast the time of day goes, which is 0:00 at the start.
     :raises PlanError: an action place is not one of the patrol.
 
     :ivar failures: what went wrong, for people.
+    :ivar fired: transition -> how often it fired.
+    :ivar token_seconds: for each place, how long its tokens were there together (s).
     """
 
-    def __init__(self, plan: Plan, room: Room, seed: int = 0, log: Optional[str] = None) -> None:
-        for place in plan.action_places:
+    def __init__(
+        self,
+        plan: Plan,
+        room: Room,
+        seed: int = 0,
+        log: Optional[str] = None,
+        *,
+        steps: Optional[Steps] = None,
+        comes: Sequence[Tuple[float, log_entries.Entry]] = (),
+        day: float = 1.0,
+    ) -> None:
+        for place in plan.action_places if steps is None else ():
             if patrol.PATROL_PLACE.match(place) is None:
                 raise PlanError("not a place of the patrol", element="place '%s'" % place)
+        self._steps, self._comes, self._day = steps or patrol_steps, deque(comes), day
+        self.fired: Counter[str] = Counter()
+        self.token_seconds = [0.0] * len(plan.net.places)
         self.plan = plan.with_seed(seed)
         heading = random.Random(seed)
         starts = [Pose(p.x, p.y, p.yaw + heading.uniform(-0.5, 0.5)) for p in room.spawn]
@@ -78,7 +102,14 @@ class RoomRun:
         for _ in range(round(seconds / CONTROL_PERIOD)):
             if self.ended is not None:
                 return
+            while self._comes and self._comes[0][0] <= self.team.time:
+                self._reduce([self._comes.popleft()[1]])
+            clock = next_of_clock(self._ledger.game, self.state, self._day * self.team.time)
+            if clock is not None and not clock[0]:
+                self._reduce([clock[1]])
             self._step_actions()
+            for place, tokens in enumerate(self.state.marking):
+                self.token_seconds[place] += tokens * CONTROL_PERIOD
             self.team.step()
             self.referee.watch()
 
@@ -115,28 +146,31 @@ class RoomRun:
         step = self._ledger.game.reduce(self.state, slot, entries)
         if self._log is not None:
             self._log.append(self._ledger.record(slot, entries, [], step))
+        self.fired.update(firing.transition for firing in step.firings)
         for command in step.commands:
             if isinstance(command, StartAction):
-                self._running[command.robot] = _Running(command, self._steps(command))
+                steps = self._steps(self._robots[command.robot], self.team.room, command.place)
+                self._running[command.robot] = _Running(command, steps)
             elif isinstance(command, CancelAction):
                 self._running.pop(command.robot, None)
             elif isinstance(command, Ended):
                 self.ended = command
 
-    def _steps(self, command: StartAction) -> patrol.ActionSteps:
-        found = patrol.PATROL_PLACE.match(command.place)
-        assert found is not None
-        robot, room = self._robots[command.robot], self.team.room
-        what, location = found.group("what"), found.group("location")
-        if what == "Check_Temperature":
-            high, low = patrol.temperature_transitions(int(found.group(1)), location)
-            return patrol.measure_temperature(robot, room, location, 30.0, high, low)
-        if what == "Alarm":
-            return patrol.sound_alarm(robot, location, 5.0)
-        if what == "Wait":
-            slot = patrol.preferred_slot(command.robot)
-            return patrol.wait_in_bay(robot, room, location, 4.0, slot)
-        return _nothing()
+
+def patrol_steps(robot: SimulatedRobot, room: Room, place: str) -> patrol.ActionSteps:
+    """What a robot does in a place of the patrol."""
+    found = patrol.PATROL_PLACE.match(place)
+    assert found is not None
+    what, location = found.group("what"), found.group("location")
+    if what == "Check_Temperature":
+        high, low = patrol.temperature_transitions(int(found.group(1)), location)
+        return patrol.measure_temperature(robot, room, location, 30.0, high, low)
+    if what == "Alarm":
+        return patrol.sound_alarm(robot, location, 5.0)
+    if what == "Wait":
+        slot = patrol.preferred_slot(robot.name)
+        return patrol.wait_in_bay(robot, room, location, 4.0, slot)
+    return _nothing()
 
 
 def _nothing() -> patrol.ActionSteps:

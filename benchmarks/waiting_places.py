@@ -18,7 +18,8 @@ import os
 import sys
 import tempfile
 from dataclasses import replace
-from typing import List, NamedTuple
+from functools import partial
+from typing import Any, Callable, List, NamedTuple, Tuple
 
 import numpy as np
 
@@ -34,6 +35,7 @@ from gspn_framework_package.execution.virtual_time import VirtualRun
 from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.duration import Duration
+from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.model.policy import Policy
 
@@ -110,23 +112,27 @@ class Day(NamedTuple):
 
 
 class TrueDay(VirtualRun):
-    """A run through a day as it is, whatever rates the plan has. If the plan has a clock, the hours
-    set it: of the transitions of an order, or of the end of a period, one is enabled."""
+    """A run through a day as it is, whatever rates the plan has."""
 
     def begin(self, warmup: float = 0.0) -> None:
         """Start the run, with all orders of the day to come."""
         super().begin(warmup)
-        draw = np.random.default_rng(self.plan.seed)
-        for hour in range(len(NORTH)):
-            self._fire(hour * HOUR, "after_", "_%d" % hour)
-            for end, rates in zip(ENDS, (NORTH, SOUTH)):
-                for when in draw.uniform(0.0, HOUR, draw.poisson(rates[hour])):
-                    self._fire(hour * HOUR + when, "order_" + end)
+        for when, order in orders(self.plan.seed):
+            self._at(when, order)
 
-    def _fire(self, when: float, begins: str, ends: str = "") -> None:
-        for name in self.plan.net.transition_index:
-            if name.startswith(begins) and name.endswith(ends):
-                self._at(when, Fire(name))
+
+def orders(seed: int, hour: float = HOUR) -> List[Tuple[float, Fire]]:
+    """When which orders come on a day (s), in order.
+
+    :param hour: how long its hours are (s).
+    """
+    draw, found = np.random.default_rng(seed), []
+    for number in range(len(NORTH)):
+        for end, rates in zip(ENDS, (NORTH, SOUTH)):
+            count = draw.poisson(rates[number] * hour / HOUR)
+            begins = number * hour
+            found += [(begins + t, Fire("order_" + end)) for t in draw.uniform(0.0, hour, count)]
+    return sorted(found)
 
 
 def day(plan: Plan, seed: int, log: str = "") -> Day:
@@ -136,7 +142,7 @@ def day(plan: Plan, seed: int, log: str = "") -> Day:
     found = run.run(time=DAY)
     if record is not None:
         record.close()
-    tokens = sum(found.mean_tokens[name % end] for name in WAITING for end in ENDS)
+    tokens = sum(found.mean_tokens[name] for name in _waiting())
     picked = sum(n for name, n in found.firings.items() if name.startswith("picked_"))
     return Day(tokens * found.seconds, picked)
 
@@ -163,7 +169,7 @@ def learned(plan: Plan, days: int, folder: str) -> Learned:
 
 def best(plan: Plan) -> Policy:
     """The policy with which orders wait least; idle robots may wait anywhere."""
-    costs = {name % end: -1.0 for name in WAITING for end in ENDS}
+    costs = dict.fromkeys(_waiting(), -1.0)
     may_wait = frozenset({"Counter", *("Wait_" + end for end in ENDS)})
     request = Request(Objective.long_run(costs), may_wait=may_wait, team_sizes=(2,))
     found = optimise(plan, request, simulated=0).plan
@@ -171,10 +177,75 @@ def best(plan: Plan) -> Policy:
     return found.policy
 
 
-def waits(plan: Plan, policy: Policy, days: int) -> Ratio:
+ROOM_FILE = """\
+name: two ends
+walls:
+  - [[-1.5, -10.0], [1.5, -10.0], [1.5, 10.0], [-1.5, 10.0], [-1.5, -10.0]]
+boxes:
+  - {at: [0.0, 9.7], size: [1.6, 0.4]}
+  - {at: [0.0, -9.7], size: [1.6, 0.4]}
+  - {at: [1.3, 0.0], size: [0.2, 1.2]}
+spawn:
+  - [-1.0, 0.5, 0.0]
+  - [-1.0, -0.5, 0.0]
+"""
+"""The room: a hall of 20 m with the ends, and the counter in its middle."""
+
+SLOTS = {
+    "Bring": ((0.9, 0.4, 0.0), (0.9, -0.4, 0.0)),
+    "To_north": ((1.0, 7.6, 1.57), (-1.0, 7.6, 1.57)),
+    "To_south": ((1.0, -7.6, -1.57), (-1.0, -7.6, -1.57)),
+    "north": ((0.5, 9.0, 1.57), (-0.5, 9.0, 1.57)),
+    "south": ((0.5, -9.0, -1.57), (-0.5, -9.0, -1.57)),
+}
+"""Where robots stand, one in each: at the counter, where they wait, and at the ends."""
+
+
+def _steps(robot: Any, room: Any, place: str) -> Any:
+    """What robots do in the room: they drive to a free slot."""
+    from gspn_framework_package.world import patrol
+    from gspn_framework_package.world.room import Pose
+
+    action, end = place.split("_")
+    slots = SLOTS.get(place) or SLOTS.get(action) or SLOTS[end]
+    poses = [Pose(*slot) for slot in slots]
+    return patrol.park(robot, poses, patrol.preferred_slot(robot.name), room.robot.radius)
+
+
+def day_in_room(plan: Plan, seed: int, minutes: float) -> Day:
+    """A day of ``minutes``, in PyBullet: as many orders an hour as on a long one, but each hour of
+    the clock is shorter.
+
+    :raises ExecutionError: a robot did not arrive.
+    """
+    from benchmarks.room_run import RoomRun
+    from gspn_framework_package.world.room_file import parse_room
+
+    hour = minutes * 60.0 / len(NORTH)
+    run = RoomRun(
+        plan,
+        parse_room(ROOM_FILE),
+        seed,
+        steps=_steps,
+        comes=orders(seed, hour),
+        day=HOUR / hour,
+    )
+    run.run(minutes * 60.0)
+    run.close()
+    if run.failures:
+        raise ExecutionError("; ".join(run.failures[:3]))
+    tokens = sum(run.token_seconds[plan.net.place_number(name)] for name in _waiting())
+    return Day(tokens, sum(n for name, n in run.fired.items() if name.startswith("picked_")))
+
+
+def _waiting() -> List[str]:
+    return [name % end for name in WAITING for end in ENDS]
+
+
+def waits(plan: Plan, policy: Policy, days: int, passed: Callable[[Plan, int], Day] = day) -> Ratio:
     """How long an order waits on average, with a policy, on days from 1,000 on."""
     one = replace(plan, policy=policy).validate()
-    found = np.array([day(one, seed) for seed in range(1_000, 1_000 + days)])
+    found = np.array([passed(one, seed) for seed in range(1_000, 1_000 + days)])
     return Ratio(found[:, 0], found[:, 1])
 
 
@@ -183,14 +254,17 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--learn", type=numbers.whole(1, 1_000), default=10, help="recorded days")
     parser.add_argument("--days", type=numbers.whole(2, 10_000), default=20, help="other days")
+    parser.add_argument("--room", type=float, metavar="MINUTES", help="days in PyBullet, so long")
     args = parser.parse_args()
-    plan = warehouse()
+    plan, passed = warehouse(), day
+    if args.room:
+        passed = partial(day_in_room, minutes=args.room)
     with tempfile.TemporaryDirectory() as folder:
         fitted = learned(plan, args.learn, folder)
-    shipped = waits(plan, plan.policy, args.days)
+    shipped = waits(plan, plan.policy, args.days, passed)
     rows: List[List[object]] = [["shipped", "%.1f" % (shipped.value or 0.0)]]
     for name, one in (("one rate", fitted.steady), ("a clock", fitted.clock)):
-        found = difference(name, "s", shipped, waits(one, best(one), args.days))
+        found = difference(name, "s", shipped, waits(one, best(one), args.days, passed))
         assert found.old and found.new and found.low is not None and found.high is not None
         change = [100 * by / found.old for by in (found.new - found.old, found.low, found.high)]
         rows.append([name, "%.1f" % found.new, "%.1f %% (%.1f to %.1f)" % tuple(change)])

@@ -14,7 +14,7 @@ import numpy as np
 from gspn_framework_package.analysis.simulation import Simulation, estimates
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.cli.progress import ProgressLine
-from gspn_framework_package.execution.event_log import Record, read_log
+from gspn_framework_package.execution.event_log import Record, clock_reading, read_log
 from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.execution.replayer import replay
 from gspn_framework_package.execution.token_game import TokenGame
@@ -29,11 +29,13 @@ CONTINUED_REPLICATIONS = 100
 
 class Beginning(NamedTuple):
     """The start of a continued simulation: the ``plan`` of a recorded run, and its state after a
-    slot as a ``snapshot`` record; ``agents``: whether it was a standalone run."""
+    slot as a ``snapshot`` record; ``agents``: whether it was a standalone run; ``at``: when that
+    was (seconds since 1970)."""
 
     plan: Plan
     snapshot: Record
     agents: bool
+    at: float
 
 
 def beginning_of(args: argparse.Namespace) -> Optional[Beginning]:
@@ -71,7 +73,8 @@ def beginning_of(args: argparse.Namespace) -> Optional[Beginning]:
                 )
             if step.state.ended is not None:
                 raise InputError("the run ended in slot %d" % wanted, file=path)
-            return Beginning(log.plan, ledger.snapshot(), ledger.game.agents)
+            at = clock_reading(step.record, "wall") or 0.0
+            return Beginning(log.plan, ledger.snapshot(), ledger.game.agents, at)
     raise InputError(
         "the run has no slot %d" % wanted,
         file=path,
@@ -132,7 +135,7 @@ def simulate_from(beginning: Beginning, args: argparse.Namespace) -> Simulation:
 def begun(beginning: Beginning, plan: Plan, losses: float) -> VirtualRun:
     """Start a run that continues from there."""
     run = VirtualRun(plan, agents=beginning.agents, loss_rate=losses)
-    run.continue_from(beginning.snapshot)
+    run.continue_from(beginning.snapshot, beginning.at)
     return run
 
 

@@ -54,7 +54,7 @@ def simulate_to_log(
     run = VirtualRun(plan, agents=agents, loss_rate=args.losses)
     writer = run.record_in(args.log, plan.name, uuid.uuid4().hex)
     if beginning is not None:
-        run.continue_from(beginning.snapshot)
+        run.continue_from(beginning.snapshot, beginning.at)
     try:
         with ProgressLine() as progress:
             watch = Watch(progress, None)

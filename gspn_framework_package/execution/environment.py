@@ -1,7 +1,8 @@
 """The simulated environment: exponential transitions that move no robot fire at their rates.
 
 This applies only to plans with ``environment: simulate``; otherwise the operator fires these
-transitions, and tasks come from their sources.
+transitions, and tasks come from their sources. The clock, transitions that fire in certain hours of
+the day, goes in any case (:func:`next_of_clock`).
 """
 
 from __future__ import annotations
@@ -13,6 +14,28 @@ from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.chance import choose
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import TokenGame
+
+
+def next_of_clock(
+    game: TokenGame, state: TeamState, seconds: float
+) -> Optional[Tuple[float, log_entries.Fire]]:
+    """The next transition of the clock that fires if nothing else happens: in how many seconds, and
+    its entry; None if none does.
+
+    :param seconds: the time of day, in seconds since 1970.
+    """
+    if not game.clock or state.paused or state.ended is not None:
+        return None
+    net = game.net
+    waits = [
+        (game.interrupts[t].seconds_to_hours(seconds), t)
+        for t in game.clock
+        if net.is_enabled(state.marking, t)
+    ]
+    if not waits:
+        return None
+    wait, t = min(waits)
+    return wait, log_entries.Fire(net.transitions[t].name)
 
 
 class Environment:
@@ -39,6 +62,7 @@ class Environment:
             t
             for t in game.environment_transitions
             if game.net.transitions[t].name not in without
+            and t not in game.clock
             and (game.plan.simulate_environment or (tasks and t in game.submissions))
         ]
         self._version: Optional[int] = None

@@ -146,7 +146,7 @@ class _Reader:
         self._environment = [
             t
             for t in game.environment_transitions
-            if plan.simulate_environment and t not in game.submissions
+            if plan.simulate_environment and t not in (*game.submissions, *game.clock)
         ]
         self._attempts: List[Attempt] = []
         self._began: Optional[float] = None
@@ -290,6 +290,8 @@ class _Reader:
             t = self._plan.net.transition_index[entry.transition]
             self._fired.setdefault(entry.transition, []).append(self._unfired[t])
             self._unfired[t] = 0.0
+        elif isinstance(entry, log_entries.Fire) and entry.transition in self._plan.clock:
+            pass  # the clock goes by itself
         elif isinstance(entry, _LEFT_OUT):
             self._left_out += 1
         elif isinstance(entry, _AT_THEIR_TIME) and not (

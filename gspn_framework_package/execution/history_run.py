@@ -105,6 +105,7 @@ class HistoryRun(VirtualRun):
             environment=False,
         )
         self._recorded, self._names = recorded, names
+        self._began_at = recorded.began
         self._unplayed = {key: iter(actions) for key, actions in recorded.actions.items()}
         self._arrivals = [
             (when, log_entries.from_json(entry)) for when, entry in reversed(recorded.arrivals)

@@ -49,6 +49,7 @@ class Rules:
             for p, t in plan.tasks.on_cancel.items()
         }
         self.interrupts = {net.transition_number(t): event for t, event in plan.events.items()}
+        self.clock = tuple(net.transition_number(t) for t in plan.clock)
         self.unnamed = [unnamed(plan, p) for p in range(len(net.places))]
         """For each place, what a robot requests whose action has named no transition."""
         self.submissions = frozenset(net.transition_number(t) for t in plan.submissions)

@@ -44,7 +44,7 @@ from gspn_framework_package.execution.breakpoints import (
     Breakpoints,
     RobotBreakpoints,
 )
-from gspn_framework_package.execution.environment import Environment
+from gspn_framework_package.execution.environment import Environment, next_of_clock
 from gspn_framework_package.execution.event_functions import EventFunctions, EventHost
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.event_watch import EventWatch, Visit, asked_anew
@@ -83,6 +83,9 @@ from gspn_framework_package.model.errors import (
 )
 from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
+
+_LOOK_AT_CLOCK = 1.0
+"""Seconds after which a run looks again at the time of day, which may be set."""
 
 
 class Listener:
@@ -415,6 +418,9 @@ class StandaloneExecutor:
         times = [
             t for t in (self._timers[0][0] if self._timers else None, fire_at) if t is not None
         ]
+        clock = next_of_clock(self.game, self.state, time.time())
+        if clock is not None:
+            times.append(now + min(clock[0], _LOOK_AT_CLOCK))
         timeout = max(0.0, min(times) - now) if times else None
         try:
             entries = self._queue.get(timeout=timeout)()
@@ -425,6 +431,8 @@ class StandaloneExecutor:
         now = self._clock()
         while self._timers and self._timers[0][0] <= now:
             entries += heapq.heappop(self._timers)[2]()
+        if clock is not None and not clock[0]:
+            return [*entries, clock[1]]
         fired = self._environment.due(self.state, now)
         return entries if fired is None else [*entries, fired]
 

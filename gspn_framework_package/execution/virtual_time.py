@@ -34,7 +34,7 @@ import random
 from typing import Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.environment import Environment
+from gspn_framework_package.execution.environment import Environment, next_of_clock
 from gspn_framework_package.execution.event_log import Record, header
 from gspn_framework_package.execution.firing import CancelAction, Ended, GameCommand, StartAction
 from gspn_framework_package.execution.ledger import Ledger
@@ -106,6 +106,8 @@ class VirtualRun:
         self.state = self._ledger.state
         self.now = 0.0
         """The virtual time (s)."""
+        self._began_at = 0.0
+        """The time of day at which it begins, in seconds since 1970."""
         self.result: Optional[Ended] = None
         """How the run ended; None while it is running."""
         self._random = np.random.Generator(np.random.PCG64(self.plan.seed % 2**64))
@@ -202,15 +204,17 @@ class VirtualRun:
         if self._loss_rate > 0:
             self._schedule_losses()
 
-    def continue_from(self, snapshot: Record) -> None:
+    def continue_from(self, snapshot: Record, began_at: float = 0.0) -> None:
         """Start at time 0 from the middle of another run of the plan: the robots keep their places,
         and running actions start again. Call this before the run.
 
         :param snapshot: a ``snapshot`` record.
+        :param began_at: the time of day at time 0, in seconds since 1970.
         :raises LogError: it is not a snapshot of this plan.
         """
         self._ledger.restore(snapshot)
         self.state = self._ledger.state
+        self._began_at = began_at
         if self._log is not None:
             self._log.append(snapshot)
 
@@ -224,6 +228,15 @@ class VirtualRun:
         """Advance to the next occurrence; return False if there is none until ``time``."""
         fire_at = self._environment.next_time(self.state, self.now)
         due = self._heap[0][0] if self._heap else math.inf
+        clock = next_of_clock(self._ledger.game, self.state, self._began_at + self.now)
+        if clock is not None:
+            clock_at = self.now + clock[0]
+            if clock_at <= due and (fire_at is None or clock_at <= fire_at):
+                if clock_at > time:
+                    return False
+                self.wait_until(clock_at)
+                self._reduce([clock[1]])
+                return True
         if fire_at is not None and fire_at < due:
             if fire_at > time:
                 return False

@@ -3,7 +3,8 @@ transitions.
 
 An *event transition* is an exponential transition with a source. If it leaves an action place, its
 event *interrupts* the action of a robot there. If it touches resource places only, it belongs to
-the environment: each message is a *task*, which fires it once.
+the environment: each message is a *task*, which fires it once, or it has hours of the day, and
+fires in them.
 """
 
 from __future__ import annotations
@@ -12,6 +13,11 @@ from typing import Any, Callable, Dict, Mapping, NamedTuple, Optional, Tuple
 
 POLL_EVERY = 0.2
 """Seconds between two calls of an event's function."""
+
+_HOUR = 3_600_000
+"""Milliseconds of an hour, in which hours of the day are compared."""
+
+_DAY = 24 * _HOUR
 
 
 class SourceKind(NamedTuple):
@@ -45,7 +51,8 @@ class EventSource(NamedTuple):
     emits its events itself), time: ``after`` seconds in the place, or what another package has
     added (``kind``, with ``settings``). With both a topic and a
     function, the topic is used on ROS and the function without it. A transition of the environment
-    needs no source of its own: ``gspn submit`` fires it in any case.
+    needs no source of its own: ``gspn submit`` fires it in any case. But one with hours of the day
+    (UTC), ``from_hour`` to ``to_hour``, lets no tasks in: it fires when it is enabled in them.
 
     ``when`` is a condition on the message (see :mod:`.message_condition`): the event holds while it
     is true. Without one, every message is an event. An event that already holds when the robot
@@ -74,6 +81,18 @@ class EventSource(NamedTuple):
     id: str = ""
     json: str = ""
     kind: Optional[SourceKind] = None
+    from_hour: Optional[float] = None
+    to_hour: Optional[float] = None
+
+    def seconds_to_hours(self, seconds: float) -> float:
+        """How long after a time its hours come (s); 0: that time is in them.
+
+        :param seconds: the time, since 1970 (s).
+        """
+        assert self.from_hour is not None and self.to_hour is not None
+        begins, ends = round(_HOUR * self.from_hour), round(_HOUR * self.to_hour)
+        since = (round(1_000 * seconds) - begins) % _DAY
+        return 0.0 if since < (ends - begins) % _DAY else (_DAY - since) / 1_000
 
     @property
     def label(self) -> str:
@@ -82,6 +101,8 @@ class EventSource(NamedTuple):
             return self.kind.name
         if self.after is not None:
             return "after %g s" % self.after
+        if self.from_hour is not None and self.to_hour is not None:
+            return "from %g to %g h" % (self.from_hour, self.to_hour)
         if self.topic:
             return "topic %s%s" % (self.topic, ": " + self.when if self.when else "")
         return self.function or "gspn submit"

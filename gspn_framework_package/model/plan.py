@@ -394,16 +394,21 @@ class Plan:
         return tuple(t for t in self._leaving(place) if t in self.events)
 
     @property
+    def clock(self) -> Tuple[str, ...]:
+        """The transitions of the environment that fire in certain hours of the day."""
+        return tuple(t for t, source in self.events.items() if source.from_hour is not None)
+
+    @property
     def submissions(self) -> Tuple[str, ...]:
-        """The transitions of the environment through which tasks arrive: those with an event, and
-        those that lead into a queue."""
+        """The transitions of the environment through which tasks arrive: those with an event, other
+        than hours, and those that lead into a queue."""
         return tuple(
             t.name
             for t, flow, outputs in zip(self.net.transitions, self.flows, self.net.outputs)
             if t.timed
             and not any(flow)
             and (
-                t.name in self.events
+                (t.name in self.events and self.events[t.name].from_hour is None)
                 or any(self.net.places[p].name in self.tasks.queues for p, _ in outputs)
             )
         )
@@ -499,7 +504,10 @@ class Plan:
         them."""
         found: Dict[str, Any] = {}
         if self.events:
-            found["events"] = {t: [e.hold, e.resume] for t, e in self.events.items()}
+            found["events"] = {
+                t: [e.hold, e.resume] + ["hours"] * (e.from_hour is not None)
+                for t, e in self.events.items()
+            }
         if self.tasks != Tasks():
             found["tasks"] = [list(self.tasks.queues), list(self.tasks.done)]
             if self.tasks.on_cancel:
@@ -704,6 +712,8 @@ class Plan:
                     "it touches no robot, so each message is a task",
                     "'when', 'edge', 'resume' and 'after' are for events of robots",
                 )
+            if source.from_hour is not None:
+                self._validate_hours(t, source, outside)
             if not outside and (source.id or source.json):
                 raise self._error(
                     "events.%s" % name, "'id' and 'json' are for tasks; it moves a robot"
@@ -726,6 +736,34 @@ class Plan:
             self._known_transition(name, "tasks.done")
         for place, transition in self.tasks.on_cancel.items():
             self._validate_on_cancel(place, transition)
+
+    def _validate_hours(self, t: int, source: EventSource, outside: bool) -> None:
+        """Check a transition of the clock, and that it does not go round in its first hour."""
+        net, name = self.net, self.net.transitions[t].name
+        element = "events.%s" % name
+        if not outside or name in self.submissions or not net.inputs[t]:
+            raise self._error(
+                element,
+                "only a transition that takes a resource, moves no robot and leads into no queue "
+                "fires by the hours of the day",
+            )
+        assert source.from_hour is not None
+        seconds, reached, new = 3600.0 * source.from_hour, {t}, {t}
+        now = [
+            net.transition_number(other)
+            for other in self.clock
+            if other in net.transition_index and not self.events[other].seconds_to_hours(seconds)
+        ]
+        while new:
+            after = {p for one in new for p, _ in net.outputs[one]}
+            new = {one for one in now if any(p in after for p, _ in net.inputs[one])}
+            if t in new:
+                raise self._error(
+                    element,
+                    "at %g h the clock goes round without time" % source.from_hour,
+                    "let each hour of the day be outside those of a transition on the way",
+                )
+            new, reached = new - reached, reached | new
 
     def _validate_on_cancel(self, place: str, transition: Optional[str]) -> None:
         element = "tasks.on_cancel.%s" % place

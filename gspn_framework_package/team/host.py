@@ -283,8 +283,9 @@ class ReplicaHost:
         if now >= self._look_at:
             self._look_at = now + BREAKPOINTS_PERIOD
             self._look_at_breakpoints()
-            if any(
-                found.task.until or found.task.at for found in self._replica.ledger.state.tasks()
+            ledger = self._replica.ledger
+            if ledger.game.clock or any(
+                found.task.until or found.task.at for found in ledger.state.tasks()
             ):
                 self._step(interface.TimeOfDay(int(time.time())))
         if self._leave_at is not None and now >= self._leave_at:

@@ -22,6 +22,7 @@ from gspn_framework_package.analysis.fitting.testing import (
 )
 from gspn_framework_package.model.attempt import EventCount
 from gspn_framework_package.model.duration import Evidence
+from gspn_framework_package.model.event import EventSource
 from gspn_framework_package.model.net import Arc, Net, Place, Transition
 from gspn_framework_package.model.plan import Plan
 
@@ -243,54 +244,62 @@ def _divided(
 
 
 def with_day(plan: Plan, fit: ArrivalsFit, logs: Sequence[str]) -> Plan:
-    """The plan with a clock: a place for each period, of which one has a token, and a transition
-    for each arrival in each period. What nobody saw arriving in a period does not arrive in it. A
-    period takes an exponential time, as long on average as its hours. The new transitions have no
-    event; in a run, ``gspn fire`` sets the clock.
+    """The plan with a clock: a place for each period, of which one has a token, and transitions
+    between them that fire by the hours of the day; in the model, a period takes an exponential
+    time, as long on average as its hours.
+
+    An arrival keeps its transition, with its lowest rate of the day, so that in a run everything
+    comes in as before; what comes besides in a period has a transition of its own.
 
     :param logs: the names of the logs, for the evidence.
     :raises NetError: the net has such a place or transition already.
     """
-    net, names = plan.net, set(fit.day[0].rates) if fit.day else set()
-    places, arcs = list(net.places), [a for a in net.arcs if not names & {a.source, a.target}]
-    transitions = [t for t in net.transitions if t.name not in names]
-    learned: Dict[str, EventFit] = {}
-    clock = ["hours_%d_%d" % period.span for period in fit.day]
-    for k, (period, now) in enumerate(zip(fit.day, clock)):
+    net, day = plan.net, fit.day
+    if not day:
+        return plan
+    places, transitions, arcs = list(net.places), list(net.transitions), list(net.arcs)
+    lowest = {name: min((p.rates[name] for p in day), key=_positive) for name in day[0].rates}
+    learned: Dict[str, Tuple[EventFit, float]] = {n: (fit, 0.0) for n, fit in lowest.items()}
+    events = dict(plan.events)
+    clock = ["hours_%d_%d" % period.span for period in day]
+    for k, (period, now) in enumerate(zip(day, clock)):
+        following = (k + 1) % len(day)
         places.append(Place(now, tokens=int(k == 0)))
         after = "after_" + now
         transitions.append(Transition(after, timed=True, rate=1 / (3600.0 * period.hours)))
-        arcs += [Arc(now, after), Arc(after, clock[(k + 1) % len(clock)])]
+        arcs += [Arc(now, after), Arc(after, clock[following])]
+        ends = float(day[following].begins)
+        events[after] = EventSource(from_hour=ends, to_hour=float(period.begins))
         for name, rate in period.rates.items():
-            if rate.seen:
+            least = _positive(lowest[name])
+            if rate.rate > least:
                 new = "%s_%d_%d" % (name, *period.span)
-                learned[new] = rate
-                transitions.append(net.transition(name)._replace(name=new, rate=rate.rate))
+                learned[new] = rate, least
+                if name in events:
+                    events[new] = EventSource()  # tasks that nobody sends in a run
+                transitions.append(net.transition(name)._replace(name=new, rate=rate.rate - least))
                 arcs += [Arc(now, new), Arc(new, now)]
                 arcs += [
                     a._replace(source=new) if a.source == name else a._replace(target=new)
                     for a in net.arcs
                     if name in (a.source, a.target)
                 ]
-    subnets = {
-        name: subnet._replace(transitions=tuple(t for t in subnet.transitions if t not in names))
-        for name, subnet in plan.subnets.items()
-    }
-    groups = {
-        title: tuple(n for n in nodes if n not in names) for title, nodes in plan.groups.items()
-    }
-    evidence = {key: value for key, value in plan.evidence.items() if key[1] not in names}
-    for name, rate in learned.items():
-        evidence["rates", name] = Evidence(rate.seen, tuple(logs), rate.interval)
+    evidence = dict(plan.evidence)
+    for name, (rate, less) in learned.items():
+        low, high = rate.interval
+        interval = max(low - less, 0.0), high - less
+        evidence["rates", name] = Evidence(rate.seen, tuple(logs), interval)
     new_plan = replace(
         plan,
         net=Net(places, transitions, arcs, net.name),
         resource_places=plan.resource_places.union(clock),
-        events={name: event for name, event in plan.events.items() if name not in names},
-        subnets=subnets,
-        groups={title: nodes for title, nodes in groups.items() if nodes},
-        rates={name: rate for name, rate in plan.rates.items() if name not in names},
-        own_rates={name: rate for name, rate in plan.own_rates.items() if name not in names},
+        events=events,
         evidence=evidence,
     )
-    return new_plan.with_rates({name: fit.rate for name, fit in learned.items()}).validate()
+    rates = {name: _positive(fit) - less for name, (fit, less) in learned.items()}
+    return new_plan.with_rates(rates).validate()
+
+
+def _positive(fit: EventFit) -> float:
+    """The rate; where nothing was seen, a tenth of the highest that agrees with that."""
+    return fit.rate or fit.interval[1] / 10

@@ -70,7 +70,7 @@ def _of_both(plan: Plan) -> List[str]:
     """The assumptions of both readings."""
     assumptions = of_events(plan)
     if not plan.simulate_environment and any(
-        t.timed and not flow.taken and t.name not in plan.submissions
+        t.timed and not flow.taken and t.name not in (*plan.submissions, *plan.clock)
         for t, flow in zip(plan.net.transitions, plan.flows)
     ):
         assumptions.append(
@@ -81,7 +81,7 @@ def _of_both(plan: Plan) -> List[str]:
 
 
 def of_events(plan: Plan) -> List[str]:
-    """The assumptions about interrupting events, in words for people."""
+    """The assumptions about events that interrupt and about the clock, in words for people."""
     net = plan.net
     interrupting = [(p, t) for p in plan.action_places for t in plan.interrupts(p)]
     timed = [t for _, t in interrupting if plan.events[t].comes_after is not None]
@@ -92,6 +92,11 @@ def of_events(plan: Plan) -> List[str]:
         and not net.fires_alone(net.transition_number(t), net.place_number(p))
     ]
     found = []
+    if plan.clock:
+        found.append(
+            "the transitions %s fire at their rates, not in their hours of the day (a run has the "
+            "hours)" % listed(plan.clock)
+        )
     if timed:
         found.append(
             "the events %s come at the rates of the net, not after a fixed time (the simulation "

@@ -75,7 +75,7 @@ class PlanTables:
         self._zero = self._of_policy + len(net.places)
         self.environment = means.environment
         if not plan.simulate_environment:  # tasks come from outside
-            self.environment = [net.transition_number(t) for t in plan.submissions]
+            self.environment = [net.transition_number(t) for t in (*plan.submissions, *plan.clock)]
         ranks = {value: i for i, value in enumerate(sorted({t.priority for t in net.transitions}))}
         self.priority = [ranks[t.priority] for t in net.transitions]
         deciding = [p for p, leaving in enumerate(net.immediate_from) if leaving and means.acts[p]]

@@ -16,6 +16,7 @@ from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.local_robot import LocalRobot
 from gspn_framework_package.execution.agreement.part import ReplicaPart
 from gspn_framework_package.execution.breakpoints import RobotBreakpoints
+from gspn_framework_package.execution.environment import next_of_clock
 from gspn_framework_package.execution.event_log import Record
 from gspn_framework_package.execution.event_watch import EventWatch, Visit, asked_anew
 from gspn_framework_package.execution.team_state import OUTSIDE_LIMIT
@@ -206,8 +207,8 @@ class Reactions(ReplicaPart):
             self.outbox.order_result(order, taken, text if taken else where)
 
     def look_at_times(self, seconds: int) -> None:
-        """Propose that tasks whose time has come come in, and that those whose time is over be
-        cancelled, if that is up to us.
+        """Propose that tasks whose time has come come in, that those whose time is over be
+        cancelled, and that the clock go on, if that is up to us.
 
         :param seconds: the time of day, in seconds since 1970.
         """
@@ -216,6 +217,9 @@ class Reactions(ReplicaPart):
         if over or not state.active or not self.electorate.is_first_running():
             return
         asking = [own.item.entry for own in state.own_proposals.asking]
+        clock = next_of_clock(self._game, state.ledger.state, seconds)
+        if clock is not None and not clock[0] and clock[1] not in asking:
+            self.proposals.propose(clock[1])
         due = {(entry.id, entry.at) for entry in asking if isinstance(entry, log_entries.TaskDue)}
         for task in [found.task for found in state.ledger.state.tasks() if not found.robot]:
             late = log_entries.CancelTask(task.id, late=True)

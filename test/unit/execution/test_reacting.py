@@ -501,6 +501,30 @@ def test_an_event_needs_an_exponential_transition_of_one_robot():
         make_plan(shop_net(), [], ["Orders"], tasks=Tasks(("Idle",)))
 
 
+def test_hours_are_for_transitions_that_move_a_clock_and_that_stop():
+    net = NetBuilder().place("am", tokens=1).place("pm")
+    net.exponential("noon", inputs="am", outputs="pm").exponential(
+        "night", inputs="pm", outputs="am"
+    )
+    net.exponential("order", outputs="pm")
+    noon, night = EventSource(from_hour=12, to_hour=0), EventSource(from_hour=0, to_hour=12)
+    made = make_plan(net.build(), [], ["am", "pm"], events={"noon": noon, "night": night})
+    assert (made.clock, made.submissions) == (("noon", "night"), ())
+    assert [noon.seconds_to_hours(3600 * hour) for hour in (11, 12, 23.5, 24)] == [
+        3600,
+        0,
+        0,
+        43200,
+    ]
+    with pytest.raises(PlanError, match="at 11 h the clock goes round without time"):
+        early = {"noon": noon._replace(from_hour=11), "night": night}
+        make_plan(net.build(), [], ["am", "pm"], events=early)
+    with pytest.raises(PlanError, match="only a transition that takes a resource"):
+        make_plan(net.build(), [], ["am", "pm"], events={"order": noon})
+    with pytest.raises(PlanError, match="only a transition that takes a resource"):
+        make_plan(shop_net(), ["Idle"], ["Orders"], events={"delivered": noon})
+
+
 def test_a_plan_without_events_and_tasks_keeps_its_hash():
     plan = make_plan(guard_net(), ["Work"], ["Dock"])
     assert "events" not in plan._essence() and "tasks" not in plan._essence()

@@ -5,13 +5,14 @@ from __future__ import annotations
 import queue
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Dict, List, Tuple
 
 import pytest
 from full_disk import fill_the_disk
 from waiting import wait_for
 
-from gspn_framework_package.execution import log_entries
+from gspn_framework_package.execution import log_entries, standalone
 from gspn_framework_package.execution.event_log import header, read_log
 from gspn_framework_package.execution.firing import Firing, TaskEnded
 from gspn_framework_package.execution.log_writer import EventLogWriter
@@ -96,6 +97,7 @@ def run(plan: Plan) -> Tuple[StandaloneExecutor, Recorder]:
     return executor, recorder
 
 
+RING = {"T1": (True, ["P1"], ["P2"]), "T2": (True, ["P2"], ["P1"])}
 LINE = {"T1": (True, ["P1"], ["P2"])}
 S = Phase
 
@@ -249,6 +251,32 @@ def test_the_environment_fires_at_its_rates(tmp_path: Path) -> None:
     assert executor.wait(DEADLINE) is not None
 
 
+def test_a_run_fires_the_clock_by_the_hours_of_the_day(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hour = [13.0]
+    monkeypatch.setattr(standalone, "time", SimpleNamespace(time=lambda: 3600 * hour[0]))
+    monkeypatch.setattr(standalone, "_LOOK_AT_CLOCK", 0.01)
+    net = {"noon": (True, ["am"], ["pm"]), "night": (True, ["pm"], ["am"]), **RING}
+    plan = write_plan(
+        tmp_path,
+        "def go(is_cancelled): is_cancelled.wait()\n",
+        net=net,
+        tokens={"P1": 1, "am": 1},
+        resource_places=["am", "pm"],
+        events={
+            "noon": {"from_hour": 12, "to_hour": 0},
+            "night": {"from_hour": 0, "to_hour": 12},
+        },
+    )
+    executor, recorder = run(plan)
+    recorder.until(lambda: [f.transition for f in recorder.firings] == ["noon"])
+    hour[0] = 24.0
+    recorder.until(lambda: [f.transition for f in recorder.firings] == ["noon", "night"])
+    executor.stop()
+    assert executor.wait(DEADLINE) is not None
+
+
 def test_a_listener_that_breaks_does_not_break_silently(tmp_path: Path) -> None:
     class Broken(Listener):
         def on_step(self, *args: Any) -> None:
@@ -265,9 +293,6 @@ def test_a_listener_that_breaks_does_not_break_silently(tmp_path: Path) -> None:
     with pytest.raises(ExecutionError, match="full disk"):
         executor.wait(DEADLINE)
     assert executor.over and told == ["the run failed: ValueError: full disk"]
-
-
-RING = {"T1": (True, ["P1"], ["P2"]), "T2": (True, ["P2"], ["P1"])}
 
 
 def test_a_full_log_ends_the_run_and_is_reported_as_its_end(

@@ -18,6 +18,7 @@ from test_reacting import shop_net
 from test_reacting_replica import ERRANDS, Team, restart
 
 from agreement.plans import make_plan as agreement_plan
+from gspn_framework_package.analysis.fitting.arrivals import ArrivalsFit, Period, with_day
 from gspn_framework_package.cli.tasks import lines
 from gspn_framework_package.execution import log_entries, plan_change
 from gspn_framework_package.execution.agreement import interface
@@ -484,6 +485,37 @@ def test_the_first_running_robot_cancels_what_waits_too_long() -> None:
     assert [e["late"] for e in world.entries("cancel")] == [True]
     given = result(world, "r1", log_entries.Submit("order", "t1"))
     assert given.text.endswith("it was late (it waited too long; in orders)")
+    world.check()
+
+
+def test_the_team_fires_the_clock_of_a_plan_by_the_hours_of_the_day() -> None:
+    periods = (Period(8, 4, {}), Period(12, 8, {}), Period(20, 12, {}))
+    plan = with_day(
+        agreement_plan(ERRANDS, 2, False, 0.0, 0.0, False), ArrivalsFit({}, periods), []
+    )
+    assert plan_from_json(plan_to_json(plan)).events == plan.events
+    assert "after_hours_8_12" not in plan.submissions
+    world = Team(plan)
+
+    def fired_at(hour: float, times: int = 1) -> Any:
+        before = len(world.entries("fire"))
+        for _ in range(times):
+            for name in ("r2", "r1", "r1"):
+                world.nodes[name].give(interface.TimeOfDay(86_400 + int(3_600 * hour)))
+            world.run(world.now + 0.5)
+        return [e["transition"] for e in world.entries("fire")[before:]]
+
+    assert fired_at(11.99, 2) == []
+    assert fired_at(12, 2) == ["after_hours_8_12"]
+    assert result(world, "r1", log_entries.Pause()).ok
+    assert fired_at(21) == []
+    restart(world.nodes["r1"])
+    assert result(world, "r2", log_entries.Resume()).ok
+    assert fired_at(21, 2) == ["after_hours_12_20"]  # it is late, since the team was paused
+    restart(world.nodes["r2"])
+    assert fired_at(26) == []
+    # a team that was off goes through the day until the clock is right
+    assert fired_at(24 + 13, 4) == ["after_hours_20_8", "after_hours_8_12"]
     world.check()
 
 
