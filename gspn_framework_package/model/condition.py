@@ -29,6 +29,7 @@ from typing import (
 
 from gspn_framework_package.model.errors import ExpressionError
 from gspn_framework_package.model.expression import (
+    ARITHMETIC,
     FUNCTIONS,
     Call,
     Name,
@@ -36,6 +37,7 @@ from gspn_framework_package.model.expression import (
     Number,
     Parser,
     operands,
+    postorder,
     shorten,
 )
 
@@ -356,22 +358,7 @@ def compile_program(tree: Any, place_index: Mapping[str, Any]) -> Tuple[ProgramS
 
     :param place_index: name -> the key of its value when the program is run.
     """
-    program: List[ProgramStep] = []
-    waiting: List[Tuple[Any, bool]] = [(tree, False)]
-    while waiting:
-        node, ready = waiting.pop()
-        if isinstance(node, (Number, Truth)):
-            program.append(("value", node.value))
-        elif isinstance(node, Name):
-            program.append(("place", place_index[node.name]))
-        elif isinstance(node, Label):
-            program.append(("label", node.name))
-        elif ready:
-            program.append(_step(node))
-        else:
-            waiting.append((node, True))
-            waiting += [(child, False) for child in reversed(_children(node))]
-    return tuple(program)
+    return tuple(_step(node, place_index) for node in postorder(tree, _children))
 
 
 def _children(node: Any) -> Tuple[Any, ...]:
@@ -382,7 +369,13 @@ def _children(node: Any) -> Tuple[Any, ...]:
     return operands(node)
 
 
-def _step(node: Any) -> ProgramStep:
+def _step(node: Any, place_index: Mapping[str, Any]) -> ProgramStep:
+    if isinstance(node, (Number, Truth)):
+        return "value", node.value
+    if isinstance(node, Name):
+        return "place", place_index[node.name]
+    if isinstance(node, Label):
+        return "label", node.name
     if isinstance(node, Call):
         return node.function, len(node.arguments)
     if isinstance(node, (Negation, Not)):
@@ -427,10 +420,6 @@ def run_in_columns(
         return run_program(program, columns, labels, vector_functions())
 
 
-def _divide(a: float, b: float) -> float:
-    return a / b if b else math.nan
-
-
 def _or_nan(function: Callable[..., Any]) -> Callable[..., Any]:
     def guarded(*arguments: Any) -> Any:
         try:
@@ -453,9 +442,7 @@ def _is_not_equal(a: Any, b: Any) -> bool:
 
 
 _COMMON: Dict[str, Callable[..., Any]] = {
-    "+": operator.add,
-    "-": operator.sub,
-    "*": operator.mul,
+    **{sign: ARITHMETIC[sign] for sign in "+-*"},
     "==": operator.eq,
     "<": operator.lt,
     "<=": operator.le,
@@ -468,7 +455,7 @@ _SCALAR: Dict[str, Callable[..., Any]] = {
     **_COMMON,
     "min": _extreme(min),
     "max": _extreme(max),
-    "/": _divide,
+    "/": _or_nan(operator.truediv),
     "^": _or_nan(lambda a, b: float(a) ** b),
     "!=": _is_not_equal,
     "not": operator.not_,

@@ -9,10 +9,12 @@ conditions on markings uses the same tokens and parser."""
 from __future__ import annotations
 
 import math
+import operator
 import re
 from typing import (
     Any,
     Callable,
+    Iterator,
     List,
     Mapping,
     NamedTuple,
@@ -94,6 +96,15 @@ FUNCTIONS: Mapping[str, Tuple[int, Optional[int], Callable[..., Any]]] = {
     "mod": (2, 2, math.fmod),
 }
 """Function name -> (minimum number of arguments, maximum or None for any, implementation)."""
+
+ARITHMETIC: Mapping[str, Callable[[Any, Any], Any]] = {
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "/": operator.truediv,
+    "^": operator.pow,
+}
+"""Operator -> implementation."""
 
 _NUMBER = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 _TOKEN = re.compile(
@@ -287,14 +298,21 @@ def parse(text: str) -> Expression:
 
 def names_in(tree: Expression) -> Set[str]:
     """Return the names that occur in ``tree``; each needs a value before it can be evaluated."""
-    found: Set[str] = set()
-    waiting: List[Expression] = [tree]
+    return {node.name for node in postorder(tree, operands) if isinstance(node, Name)}
+
+
+def postorder(tree: Any, parts: Callable[[Any], Sequence[Any]]) -> Iterator[Any]:
+    """Yield the nodes of a tree, each after its ``parts``; without recursion, because a long sum
+    nests deeply to the left."""
+    waiting = [(tree, False)]
     while waiting:
-        node = waiting.pop()
-        if isinstance(node, Name):
-            found.add(node.name)
-        waiting += operands(node)
-    return found
+        node, ready = waiting.pop()
+        inner = () if ready else parts(node)
+        if inner:
+            waiting.append((node, True))
+            waiting += [(part, False) for part in reversed(inner)]
+        else:
+            yield node
 
 
 def evaluate(expression: Union[str, Expression], constants: Mapping[str, float] = {}) -> float:
@@ -310,35 +328,17 @@ def evaluate(expression: Union[str, Expression], constants: Mapping[str, float] 
     tree = parse(expression) if isinstance(expression, str) else expression
     if isinstance(tree, Number) and math.isfinite(tree.value):
         return tree.value  # the rates of most nets
+    values: List[float] = []
     try:
-        value = _postorder(tree, constants)
+        for node in postorder(tree, operands):
+            first = len(values) - len(operands(node))
+            values[first:] = [_apply(node, values[first:], constants)]
     except ZeroDivisionError:
         raise ExpressionError("division by zero in '%s'" % _text(expression)) from None
-    except (OverflowError, ValueError):
+    except (OverflowError, ValueError, TypeError):  # no function takes a complex number
         raise ExpressionError("'%s' has no finite real value" % _text(expression)) from None
-    if isinstance(value, complex) or not math.isfinite(value):
+    if isinstance(values[0], complex) or not math.isfinite(values[0]):
         raise ExpressionError("'%s' has no finite real value" % _text(expression))
-    return value
-
-
-def _postorder(tree: Expression, constants: Mapping[str, float]) -> float:
-    """Evaluate ``tree`` without recursion, because a long sum nests deeply to the left."""
-    values: List[float] = []
-    waiting: List[Tuple[Expression, bool]] = [(tree, False)]
-    while waiting:
-        node, ready = waiting.pop()
-        if isinstance(node, Number):
-            values.append(node.value)
-        elif isinstance(node, Name):
-            values.append(float(_constant(node.name, constants)))
-        elif not ready:
-            waiting.append((node, True))
-            waiting += [(child, False) for child in reversed(operands(node))]
-        else:
-            count = len(operands(node))
-            arguments = values[-count:]
-            del values[-count:]
-            values.append(_apply(node, arguments))
     return values[0]
 
 
@@ -351,20 +351,17 @@ def operands(node: Any) -> Tuple[Any, ...]:
     return node.arguments if isinstance(node, Call) else ()
 
 
-def _apply(node: Expression, arguments: Sequence[float]) -> float:
+def _apply(node: Any, arguments: Sequence[float], constants: Mapping[str, float]) -> float:
+    if isinstance(node, Number):
+        return node.value
+    if isinstance(node, Name):
+        return float(_constant(node.name, constants))
     if isinstance(node, Negation):
         return -arguments[0]
     if isinstance(node, Call):
         return float(FUNCTIONS[node.function][2](*arguments))
-    assert isinstance(node, Operation)
-    left, right = arguments
-    if node.operator == "+":
-        return left + right
-    if node.operator == "-":
-        return left - right
-    if node.operator == "*":
-        return left * right
-    return left / right if node.operator == "/" else left**right
+    value: float = ARITHMETIC[node.operator](*arguments)
+    return value
 
 
 def _constant(name: str, constants: Mapping[str, float]) -> float:

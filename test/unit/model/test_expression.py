@@ -70,6 +70,7 @@ def test_values(text, value):
         ("1e308*10", "no finite real value"),
         ("9^9^9", "no finite real value"),
         ("(-1)^0.5", "no finite real value"),
+        ("floor((-1)^0.5)", "no finite real value"),
         ("sqrt(-1)", "no finite real value"),
         ("log(0)", "no finite real value"),
         ("1 >= 2", "an operator was expected before '>='"),
