@@ -29,8 +29,7 @@ from gspn_framework_package.analysis.decisions.automaton import Automaton, Rewar
 from gspn_framework_package.analysis.decisions.export import Decided, policy_of
 from gspn_framework_package.analysis.decisions.grouping import (
     Grouped,
-    group,
-    group_random,
+    Grouping,
     present_choices,
 )
 from gspn_framework_package.analysis.decisions.problem import DecisionProblem, SizedTeam
@@ -207,7 +206,8 @@ class _Solver:
             allowed=allowed,
             watch=self._watch,
         )
-        grouped = group(team, solved, rewards, objective, goal, allowed, watch=self._watch)
+        grouping = Grouping(team, rewards, objective, goal, allowed, self._watch)
+        grouped = grouping.closest(solved)
         return TeamSolution(
             team, rewards, goal, solved.lower, solved.upper, grouped, solved.row_values, []
         )
@@ -261,9 +261,8 @@ class _Solver:
             allowed=allowed,
             watch=self._watch,
         )
-        grouped = group_random(
-            team, found.weights, rewards, objective, None, allowed, watch=self._watch
-        )
+        grouping = Grouping(team, rewards, objective, None, allowed, self._watch)
+        grouped = grouping.drawn(found.weights)
         constraints = [
             ConstraintResult(
                 constraint.name,
@@ -327,7 +326,8 @@ class _Solver:
         weights = np.zeros(len(automaton.choices))
         chosen = found.row_of[found.row_of >= 0]
         weights[chosen] = 1.0
-        grouped = group_random(team, weights, rewards, objective, goal, allowed, watch=self._watch)
+        grouping = Grouping(team, rewards, objective, goal, allowed, self._watch)
+        grouped = grouping.drawn(weights)
         # the guarantee of the rows as written, not of the solution
         part = follow_policy(automaton, rewards, grouped.weights, goal)
         own = worst(part.automaton, part.rewards, labels[part.arcs], part.speaks)

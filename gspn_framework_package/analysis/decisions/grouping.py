@@ -75,54 +75,6 @@ class Grouped(NamedTuple):
     kept: bool = False
 
 
-def group(
-    team: SizedTeam,
-    solved: Solved,
-    rewards: Optional[Rewards],
-    objective: Objective,
-    goal: Optional[Booleans],
-    allowed: Booleans,
-    *,
-    watch: Optional[Watch] = None,
-) -> Grouped:
-    """The decisions by marking that come closest to a solution: those of the present policy if none
-    found have a higher value.
-
-    :raises RefusedError: they have no value, or one that the states cannot represent.
-    """
-    grouping = _Grouping(team, rewards, objective, goal, allowed, watch)
-    found: Optional[Grouped] = None
-    refused: Optional[RefusedError] = None
-    try:
-        found = grouping.best(solved)
-        if reaches(found.evaluated, solved, objective):
-            return found
-    except RefusedError as error:
-        refused = error
-    present = grouping.present()
-    if present is not None and (found is None or grouping.better(present, found)):
-        return present
-    if found is None:
-        assert refused is not None
-        raise refused
-    return found
-
-
-def group_random(
-    team: SizedTeam,
-    weights: Floats,
-    rewards: Optional[Rewards],
-    objective: Objective,
-    goal: Optional[Booleans],
-    allowed: Booleans,
-    *,
-    watch: Optional[Watch] = None,
-) -> Grouped:
-    """The decisions by marking that come closest to a randomised policy. Where it
-    mixes the decisions of several places, only one of them decides."""
-    return _Grouping(team, rewards, objective, goal, allowed, watch).drawn(weights)
-
-
 def present_choices(team: SizedTeam) -> Decided:
     """The decision of the plan's present policy in each marking that needs one; if nothing decides,
     the first transition in file order that can fire."""
@@ -240,8 +192,13 @@ class _Table:
             self.chance.append((np.where(which.any(axis=1), kind, _SILENT), sets))
 
 
-class _Grouping:
-    """The computation for one team."""
+class Grouping:
+    """Converts solutions for one team.
+
+    :param rewards: those of the aim ``objective``, and ``goal`` its goal (boolean array over the
+        states), if it has them.
+    :param allowed: boolean array over the rows: those that may be taken.
+    """
 
     def __init__(
         self,
@@ -250,7 +207,7 @@ class _Grouping:
         objective: Objective,
         goal: Optional[Booleans],
         allowed: Booleans,
-        watch: Optional[Watch],
+        watch: Optional[Watch] = None,
     ) -> None:
         self._team = team
         self._rewards = rewards
@@ -261,6 +218,28 @@ class _Grouping:
         self._sign = 1.0 if objective.maximise else -1.0
         self._table = _Table(team)
         self._collect()
+
+    def closest(self, solved: Solved) -> Grouped:
+        """The decisions by marking that come closest to a solution: those of the present policy if
+        none found have a higher value.
+
+        :raises RefusedError: they have no value, or one that the states cannot represent.
+        """
+        found: Optional[Grouped] = None
+        refused: Optional[RefusedError] = None
+        try:
+            found = self.best(solved)
+            if reaches(found.evaluated, solved, self._objective):
+                return found
+        except RefusedError as error:
+            refused = error
+        present = self.present()
+        if present is not None and (found is None or self.better(present, found)):
+            return present
+        if found is None:
+            assert refused is not None
+            raise refused
+        return found
 
     # -- possible requests of robots ---------------------------------------------------------------
 
@@ -648,7 +627,8 @@ class _Grouping:
     # -- randomised policies -----------------------------------------------------------------------
 
     def drawn(self, weights: Floats) -> Grouped:
-        """The decisions that come closest to a randomised policy."""
+        """The decisions that come closest to a randomised policy. Where it mixes the decisions of
+        several places, only one of them decides."""
         team, automaton = self._team, self._team.automaton
         evaluated = self._value(weights)
         flow = evaluated.flow

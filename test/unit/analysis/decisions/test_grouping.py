@@ -17,9 +17,7 @@ from running_plans import running_plans
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.decisions.aims import Objective
 from gspn_framework_package.analysis.decisions.export import policy_of
-from gspn_framework_package.analysis.decisions.grouping import (
-    group,
-)
+from gspn_framework_package.analysis.decisions.grouping import Grouping
 from gspn_framework_package.analysis.decisions.problem import DecisionProblem
 from gspn_framework_package.analysis.decisions.solving.evaluation import evaluate_policy
 from gspn_framework_package.analysis.decisions.solving.optima import optimum
@@ -71,7 +69,7 @@ def test_the_patrol_gets_its_published_value(reading, waits, value):
         plan, reading=reading, never=never, may_wait=decide if waits else (), team_sizes=[4]
     )
     found, asked = solved(decisions, objective, width=1e-6)
-    grouped = group(decisions.teams[0], found, *asked)
+    grouped = Grouping(decisions.teams[0], *asked).closest(found)
     assert grouped.evaluated.value == pytest.approx(value, abs=1e-9)
     assert found.lower - 1e-9 <= grouped.evaluated.value <= found.upper + 1e-9
     policy = policy_of(plan, grouped.decided)
@@ -98,7 +96,7 @@ def test_a_policy_for_all_teams_leaves_no_gap():
     markings, choices = [], []
     for team in decisions.teams:
         found, asked = solved(decisions, objective, team, width=1e-6)
-        decided = group(team, found, *asked).decided
+        decided = Grouping(team, *asked).closest(found).decided
         markings.append(decided.markings)
         choices += decided.choices
     decided = decided._replace(markings=np.concatenate(markings), choices=tuple(choices))
@@ -122,7 +120,7 @@ def check_generated(plan, reading, names):
         team = decisions.teams[0]
         assume(decisions.deciders)
         found, asked = solved(decisions, objective)
-        grouped = group(team, found, *asked)
+        grouped = Grouping(team, *asked).closest(found)
         policy = plan.policy if grouped.kept else policy_of(plan, grouped.decided)
         measures = Analysis(plan.with_policy(policy), timing=reading).measures
     except (RefusedError, LimitError):
@@ -159,7 +157,7 @@ def check_passage(plan, reading, place, aim):
         team = decisions.teams[0]
         assume(decisions.deciders)
         found, asked = solved(decisions, objective)
-        grouped = group(team, found, *asked)
+        grouped = Grouping(team, *asked).closest(found)
         policy = plan.policy if grouped.kept else policy_of(plan, grouped.decided)
         passage = Analysis(plan.with_policy(policy), timing=reading).first_passage(goal)
     except (RefusedError, LimitError):

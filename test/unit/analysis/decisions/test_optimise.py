@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.decisions import decisions
 from gspn_framework_package.analysis.decisions.aims import AtLeast, Objective, Request
-from gspn_framework_package.analysis.decisions.grouping import _Grouping
+from gspn_framework_package.analysis.decisions.grouping import Grouping
 from gspn_framework_package.analysis.decisions.optimise import optimise
 from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.preflight.check_plan import check
@@ -112,13 +111,13 @@ def test_of_equally_good_decisions_one_that_comes_to_the_goal_is_taken(first):
 def test_the_present_policy_stays_where_no_decisions_are_found_that_are_better(monkeypatch):
     plan = two_ways()
     plan = plan.with_policy(Policy.from_table((), [((), {"walk": 0.5, "drive": 0.5})]))
-    advanced = _Grouping._advanced
+    advanced = Grouping._advanced
 
     def astray(self, chosen, good):
         walk = self._team.problem.plan.net.transition_number("walk")
         return np.full_like(advanced(self, chosen, good), walk)
 
-    monkeypatch.setattr(_Grouping, "_advanced", astray)
+    monkeypatch.setattr(Grouping, "_advanced", astray)
     aim = Objective.long_run({"walked": 1, "driven": 1})
     report = optimise(plan, Request(aim), simulated=0)
     assert report.plan.policy == plan.policy
@@ -260,13 +259,13 @@ def test_the_best_policy_for_the_worst_rates(reading):
 
 
 def test_the_worst_value_of_a_policy_that_draws_is_not_that_of_its_best_row(monkeypatch):
-    group_random = decisions.group_random
+    drawn = Grouping.drawn
 
-    def draw(team, weights, *args, **options):
-        drawn = np.where(team.decides[team.automaton.row_states], 0.5, weights)
-        return group_random(team, drawn, *args, **options)
+    def draw(self, weights):
+        team = self._team
+        return drawn(self, np.where(team.decides[team.automaton.row_states], 0.5, weights))
 
-    monkeypatch.setattr(decisions, "group_random", draw)
+    monkeypatch.setattr(Grouping, "drawn", draw)
     aim = Objective.long_run({"walked": 1, "driven": 1})
     request = Request(aim, uncertain={"driven": (1.0, 4.0)}, reading="net")
     report = optimise(two_ways(), request, simulated=0)
