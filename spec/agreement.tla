@@ -70,6 +70,7 @@ is_quorum(voters, members) ==
 Ledger0 == [
   log      |-> <<>>,
   members  |-> Robot,
+  left     |-> {},                      \* the robots that left in order
   lives    |-> [r \in Robot |-> 0],     \* the incarnation that the log knows
   logs     |-> [r \in Robot |-> NONE],  \* the log with which it was let in
   cast_out |-> [r \in Robot |-> -1],    \* the slot of its last eviction by force
@@ -86,15 +87,18 @@ is_news(l, i) ==
 
 is_cast_out(l, r) == l.cast_out[r] >= 0 /\ r \notin l.members
 
-\* Join: _join of token_game.py, with Ledger._note_membership; Evict: _depart
+\* Join: _join of token_game.py, with Ledger._note_membership; Evict and Leave: _depart
 entered(l, i) ==
   LET m == [l EXCEPT !.seen[i.by] = <<i.incarnation, i.number, i.log>>] IN
   CASE i.entry = "Join" /\ i.life > l.lives[i.by] ->
-         [m EXCEPT !.members = @ \union {i.by}, !.lives[i.by] = i.life, !.logs[i.by] = i.log]
+         [m EXCEPT !.members = @ \union {i.by}, !.left = @ \ {i.by},
+                   !.lives[i.by] = i.life, !.logs[i.by] = i.log]
     [] i.entry = "Evict" /\ i.robot \in l.members /\ i.life = l.lives[i.robot]
          /\ l.members # {i.robot} ->
          [m EXCEPT !.members = @ \ {i.robot},
                    !.cast_out[i.robot] = IF i.forced THEN length(l) ELSE @]
+    [] i.entry = "Leave" /\ i.robot \in l.members /\ l.members # {i.robot} ->
+         [m EXCEPT !.members = @ \ {i.robot}, !.left = @ \union {i.robot}]
     [] i.entry = "Pause" -> [m EXCEPT !.paused = TRUE]
     [] i.entry = "GiveBack" -> [m EXCEPT !.sent_away[i.robot] = length(l)]
     [] OTHER -> m
@@ -210,12 +214,34 @@ without_memory(s) ==
 
 acts(p, s) == IF is_settled(p, s) THEN [s EXCEPT !.started = s.incarnation] ELSE s
 
+\* Tell robot r, which does not take part yet, which log of it we know.
+greet(p, s, r) ==
+  [kind |-> "hello", from |-> name(p), log |-> s.log_id, torn |-> s.torn,
+   length |-> length(s.ledger), to |-> r, seen |-> known_log(s, r)]
+
+\* All hellos to robots that do not take part yet, as soon as they can be sent. One more message
+\* takes no behaviour away: it may be taken at any time, or never. So nothing is lost by it.
+greetings(all) ==
+  UNION {{greet(p, all[p], name(q)) :
+            p \in {x \in Process : all[x].log_id # NONE /\ name(x) # name(q)
+                                    /\ known_log(all[x], name(q)) # NONE}} :
+         q \in {x \in Process : all[x].log_id # NONE /\ ~all[x].active /\ ~all[x].amnesic}}
+
+\* Only who asked for a promise reads it, in its first phase, and no ballot has a second one.
+is_read(m, all) ==
+  \/ m.kind # "promise"
+  \/ \E p \in Process :
+       /\ all[p].attempt.phase = 1 /\ all[p].attempt.ballot = m.ballot
+       /\ all[p].promised = m.ballot /\ length(all[p].ledger) = m.slot
+
 \* Process p goes on as s, and sends these messages. "synced": its log is on the disk before.
 Step(p, s, messages, synced) ==
-  LET t == acts(p, s) IN
+  LET t == acts(p, s)
+      all == [state EXCEPT ![p] = t]
+  IN
   /\ t.log_id <= MaxLogs
-  /\ state' = [state EXCEPT ![p] = t]
-  /\ sent' = sent \union messages
+  /\ state' = all
+  /\ sent' = {m \in sent \union messages : is_read(m, all)} \union greetings(all)
   /\ disk' = IF Outages > 0 /\ synced THEN [disk EXCEPT ![p] = without_memory(t)] ELSE disk
   /\ log_ids' = [log_ids EXCEPT ![name(p)] = Max(@, t.log_id)]
   /\ took_part' = IF t.active /\ (Losses > 0 \/ Spares # {})
@@ -253,14 +279,21 @@ commit(p, s, items, mine) ==
            THEN [a EXCEPT !.active = TRUE, !.amnesic = FALSE, !.torn = <<>>]
            ELSE IF let_in /\ a.active /\ ~is_our_name(p, a) THEN forget(p, a, TRUE) ELSE a
       c == IF b.active /\ spoken_for(p, b) THEN new_life(p, b) ELSE b
-  IN IF me \notin l.members /\ c.incarnation <= l.lives[me] THEN new_life(p, c) ELSE c
+      leaves == me \in l.left /\ c.active /\ c.incarnation = l.lives[me]
+  IN IF me \notin l.members /\ c.incarnation <= l.lives[me] /\ ~leaves
+     THEN new_life(p, c) ELSE c
 
-changes_members(items) == \E i \in Range(items) : i.entry \in {"Join", "Evict"}
+changes_members(items) == \E i \in Range(items) : i.entry \in {"Join", "Leave", "Evict"}
 
 \* A decision that a robot may tell to others. Who tells it matters where somebody may not teach.
 told(p, s, items) ==
   [slot |-> length(s.ledger), hash |-> hash(s.ledger), batch |-> news(s.ledger, items),
    by |-> IF Outages > 0 THEN name(p) ELSE NONE, log |-> IF Outages > 0 THEN s.log_id ELSE NONE]
+
+\* All that its log holds: under its new id, the others learn it.
+told_again(p, s) ==
+  {[slot |-> k - 1, hash |-> SubSeq(s.ledger.log, 1, k - 1), batch |-> s.ledger.log[k],
+    by |-> name(p), log |-> s.log_id] : k \in DOMAIN s.ledger.log}
 
 (* ---- messages ------------------------------------------------------------- *)
 
@@ -283,6 +316,9 @@ Accept(p, s, ballot, batch, torn_robots) ==
 comes_through(p, s, m) ==
   /\ m.from # name(p) /\ s.off[m.from] = -1
   /\ <<m.from, m.log>> \notin s.dead /\ ~is_cast_out(s.ledger, m.from)
+\* It may have come before its sender's machine lost power.
+came_through(p, s, m) ==
+  comes_through(p, IF m.torn = <<>> THEN [s EXCEPT !.dead = {}] ELSE s, m)
 counts(p, s, m) == comes_through(p, s, m) /\ known_log(s, m.from) = m.log /\ m.torn = <<>>
 is_counted(m, torn_robots) ==
   m.torn = <<>> \/ (torn_robots[m.from] # <<>> /\ torn_robots[m.from][1] = m.log)
@@ -339,6 +375,20 @@ NextBallots(p, s) ==
 \* batch, and pass counters by; trace.tla allows both.
 batches(s) == {<<i>> : i \in available(s)}
 counters(s) == {s.promised[1] + 1}
+
+\* A robot cannot return in the slot that evicts it by force: it does not know of the eviction.
+\* Electorate.without_ghosts
+RECURSIVE without_returns(_, _)
+without_returns(items, off) ==
+  IF items = <<>> THEN <<>>
+  ELSE LET i == Head(items) IN
+       IF i.entry = "Join" /\ i.by \in off
+       THEN without_returns(SelectSeq(Tail(items), LAMBDA x : x.by # i.by \/ x.log # i.log), off)
+       ELSE <<i>> \o without_returns(Tail(items), off)
+
+\* What is decided without the robots that are said to be off.
+forced_batches(p, s, accepted, off) ==
+  {without_returns(accepted, off) \o eviction_items(p, s, off, 1)}
 
 \* Something of ours waits, or of a robot that has no vote. (Others tell the leader: lead_on.)
 wants(p, s) ==
@@ -427,8 +477,8 @@ first_phase_over(p) ==
       a == s.attempt
       all == a.torn # NoneTorn
       promises == {m \in sent : m.kind = "promise" /\ m.ballot = a.ballot /\ is_open(s, m)
-                     /\ comes_through(p, s, m)
-                     /\ (~m.vote \/ counts(p, s, m) \/ m.torn # <<>>)}
+                     /\ came_through(p, s, m)
+                     /\ (~m.vote \/ m.torn # <<>> \/ known_log(s, m.from) = m.log)}
   IN
   /\ up(p) /\ a.phase = 1 /\ s.promised = a.ballot
   /\ \E answers \in SUBSET promises :
@@ -441,18 +491,19 @@ first_phase_over(p) ==
          mine(m) == m.log = known_log(s, m.from) /\ m.torn = <<>>
          answered == (IF s.torn = <<>> THEN {me} ELSE {})
                        \union {m.from : m \in {n \in answers : mine(n)}}
-         strangers == {m.from : m \in {n \in answers : ~mine(n)}}
+         strangers == (IF s.torn = <<>> THEN {} ELSE {me})
+                        \union {m.from : m \in {n \in answers : ~mine(n)}}
          after == [s EXCEPT !.followers = IF Partial \/ all THEN {} ELSE voters]
      IN
      /\ may_decide(s, voters, all)
      \* full synchronisation does not wait for more
      /\ Partial \/ voting = {} \/ \E m \in voting : ~may_decide(s, voters \ {m.from}, all)
      /\ IF off # {}
-        THEN LET evictions == eviction_items(p, s, off, 1)
-                 batch == accepted \o evictions
-                 new == Max(s.number, evictions[Len(evictions)].number)
+        THEN \E batch \in forced_batches(p, s, accepted, off) :
+             LET new == Max(s.number, batch[Len(batch)].number)
              IN /\ not_cast_out(s, voters, batch, all) = {}
-                /\ second_phase(p, [after EXCEPT !.number = new], batch, Range(evictions))
+                /\ second_phase(p, [after EXCEPT !.number = new], batch,
+                                Range(batch) \ Range(accepted))
         ELSE IF held # {} THEN second_phase(p, after, accepted, {})
         ELSE IF Partial
              THEN \E b \in partial_batches(p, s, answers, answered, strangers) :
@@ -545,18 +596,6 @@ hear(p, r, id) ==
           /\ Step(p, [s EXCEPT !.known[r] = id, !.unsure = @ \ {r}], {}, TRUE)
   /\ UNCHANGED <<proposals, chosen, faults>>
 
-\* Tell robot r, which does not take part yet, which log of it we know.
-greet(p, r) ==
-  LET s == state[p]
-      m == [kind |-> "hello", from |-> name(p), log |-> s.log_id, torn |-> s.torn,
-            length |-> length(s.ledger), to |-> r, seen |-> known_log(s, r)]
-  IN
-  /\ up(p) /\ r # name(p) /\ m.seen # NONE
-  /\ \E q \in Process : name(q) = r /\ up(q) /\ ~has_to_join(state[q]) /\ ~state[q].active
-  /\ m \notin sent
-  /\ Step(p, s, {m}, FALSE)
-  /\ UNCHANGED <<proposals, chosen, faults>>
-
 hear_of_ourselves(p, m) ==
   LET s == state[p]
       begun == length(s.ledger) > 0
@@ -629,7 +668,8 @@ outlive_outage(p) ==
   IN
   /\ up(p) /\ Fault("Outages")
   /\ Step(p, new_life(p, t), {}, TRUE)
-  /\ UNCHANGED <<proposals, chosen>>
+  /\ chosen' = chosen \union told_again(p, t)
+  /\ UNCHANGED proposals
 
 \* The thread that brings the log to the disk has done so.
 Sync(p) ==
@@ -747,7 +787,7 @@ InitialState(p) ==
 Init ==
   /\ state = [p \in Process |-> InitialState(p)]
   /\ disk = IF Outages > 0 THEN [p \in Process |-> without_memory(state[p])] ELSE <<>>
-  /\ sent = {} /\ chosen = {}
+  /\ sent = greetings(state) /\ chosen = {}
   /\ proposals = {FirstItem(r) : r \in Wants}
   /\ log_ids = [r \in Robot |-> 1]
   /\ took_part = IF Begun /\ (Losses > 0 \/ Spares # {}) THEN Robot \X {1} ELSE {}
@@ -770,7 +810,6 @@ Next == \E p \in Process :
   \/ \E m \in sent : hear_of_ourselves(p, m)
   \/ \E c \in chosen : on_learn(p, c)
   \/ \E r \in Robot : \E id \in 1..log_ids[r] : hear(p, r, id)
-  \/ \E r \in Robot : greet(p, r)
   \/ consider_active(p) \/ want_to_join(p)
   \/ \E r \in Robot : watch(p, r)
   \/ \E r \in Robot : evict_by_force(p, r)

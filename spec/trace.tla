@@ -15,6 +15,20 @@ Same(field, specified, found) ==
 
 \* All entries of the trace wait from the beginning; who proposes which of them, and when, is free.
 TraceBatches(s) == {b \in {step.batch} : b # <<>> /\ Range(b) \subseteq available(s)}
+\* What was accepted comes first, but for robots that return and are off or not heard, and for the
+\* departure of the last one.
+TraceForcedBatches(p, s, accepted, off) ==
+  LET kept == SelectSeq(accepted, LAMBDA i : i \in Range(step.batch))
+      may_go(i) ==
+        \/ i.entry \in {"Leave", "Evict"} /\ i.robot = name(p)
+        \/ \E j \in Range(accepted) : j.entry = "Join" /\ j.by = i.by /\ j.log = i.log
+                                     /\ (j.by \in off \/ j.by \notin members(s))
+  IN {b \in {step.batch} :
+        /\ Len(b) > Len(kept) /\ SubSeq(b, 1, Len(kept)) = kept
+        /\ \A i \in Range(accepted) \ Range(b) : may_go(i)
+        /\ \A i \in Range(b) \ Range(accepted) : i.entry = "Move" \/ i \in available(s)}
+\* The trace does not say what robots knew when they proposed something.
+TraceNotGivenUp(s, i) == TRUE
 TraceCounters(s) == {c \in {step.ballot[1]} : c > s.promised[1]}
 TraceWants(p, s) == TRUE
 \* The numbers of a robot's entries are those of the trace, not of its state.
@@ -48,6 +62,25 @@ forgets(p) ==
              known_log(state[<<r, 0>>], name(p)) \notin {NONE, s.log_id}
   /\ Step(p, forget(p, s, FALSE), {}, TRUE)
   /\ UNCHANGED <<proposals, chosen, faults>>
+\* An operator says here that a robot is off, or the robot hears from others that one did.
+hears_off(p, r, here) ==
+  LET s == state[p]
+      t == [s EXCEPT !.off[r] = s.ledger.lives[r]] IN
+  /\ up(p) /\ r \in members(s) \ {name(p)} /\ (here \/ ~s.active)
+  /\ Step(p, IF here THEN [t EXCEPT !.attempt = NoAttempt, !.followers = {}] ELSE t, {}, TRUE)
+  /\ UNCHANGED <<proposals, chosen, faults>>
+hears_though_off(p, r) ==
+  LET s == state[p] IN
+  IF r \in asserted_off(s) THEN heard_though_off(p, r)
+  ELSE Step(p, [s EXCEPT !.off[r] = -1], {}, TRUE) /\ UNCHANGED <<proposals, chosen, faults>>
+\* The step that a loss of power later shows to be the last one on the disk.
+syncs(p) ==
+  /\ disk' = [disk EXCEPT ![p] = without_memory(state[p])]
+  /\ UNCHANGED <<state, sent, proposals, chosen, log_ids, took_part, acted, faults>>
+hears_torn(p, r) ==
+  /\ step.ids[1] <= state[<<r, 0>>].log_id
+  /\ Step(p, note_torn(p, state[p], [NoneTorn EXCEPT ![r] = step.ids]), {}, TRUE)
+  /\ UNCHANGED <<proposals, chosen, faults>>
 lives_anew(p) ==
   /\ ~is_settled(p, state[p])
   /\ Step(p, new_life(p, state[p]), {}, TRUE)
@@ -55,9 +88,10 @@ lives_anew(p) ==
 
 \* A robot that does not take part yet says what it knows, without a vote; here all take part.
 answer(p, m) ==
-  LET t == [state[p] EXCEPT !.frozen_by = @ \/ m.frozen] IN
-  /\ Partial /\ counts(p, t, m) /\ is_open(t, m)
-  /\ Step(p, t, {Promise(p, t, m, FALSE)}, FALSE)
+  LET t == [note_torn(p, state[p], m.by) EXCEPT !.frozen_by = @ \/ m.frozen] IN
+  /\ Partial /\ (counts(p, t, m) \/ (m.torn # <<>> /\ comes_through(p, t, m)))
+  /\ is_counted(m, m.by) /\ is_open(t, m)
+  /\ Step(p, t, {Promise(p, t, m, FALSE)}, m.by # NoneTorn)
   /\ UNCHANGED <<proposals, chosen, faults>>
 
 Entries(t) == UNION {Range(Traces[t][k].batch) : k \in DOMAIN Traces[t]}
@@ -75,7 +109,15 @@ took(p) ==
   CASE step.what = "resume" -> resume(p)
     [] step.what = "lose" -> LoseLog(p)
     [] step.what = "hear" -> hear(p, step.ballot[2], step.ballot[1])
-    [] step.what = "forget" -> forgets(p)
+    [] step.what = "forget" ->
+         forgets(p) \/ \E q \in Process : forget_given_up(p, q) \/ conflict(p, q)
+    [] step.what = "sync" -> syncs(p)
+    [] step.what = "outage" -> outlive_outage(p)
+    [] step.what = "torn" -> hears_torn(p, step.ballot[2])
+    [] step.what = "active" -> consider_active(p)
+    [] step.what = "assert" -> hears_off(p, step.ballot[2], TRUE)
+    [] step.what = "note_off" -> hears_off(p, step.ballot[2], FALSE)
+    [] step.what = "heard" -> hears_though_off(p, step.ballot[2])
     [] step.what = "new_life" -> lives_anew(p)
     [] step.what = "move" -> of_this_life(state[p], step.batch[1]) /\ move_alone(p)
     [] step.what = "propose" -> propose(p) /\ (Partial => state'[p].attempt.frozen = step.frozen)
@@ -97,18 +139,19 @@ knows(s) ==
   /\ Same("length", length(s.ledger), step.length)
   /\ Same("promised", s.promised, step.promised)
   /\ Same("accepted", s.accepted, step.accepted)
-  /\ step.what \in {"resume", "new_life"} => Same("incarnation", s.incarnation, step.incarnation)
+  /\ step.what \in {"resume", "new_life", "outage"} => Same("incarnation", s.incarnation, step.incarnation)
   /\ step.what = "decide" => Same("decided", s.ledger.log[step.length], step.batch)
 
 (* Tasks. Whom the token game gives a task is left out here; but it may not do to a task what the   *)
 (* entries of the slot do not say. A step has <<task, "waits", robot>> for each that is not done    *)
 (* (robot 0: for none that is with a robot), and <<task, how it ended, after how many other ends>>. *)
 
-\* What the first robot had that knew so many slots.
-tasks_after(slots) ==
-  IF slots = 0 THEN {}
+\* What the first robot had that knew this log. (Logs have numbers, since they part if somebody says
+\* wrongly that robots are off; 0 is the one without slots.)
+tasks_after(log) ==
+  IF log = 0 THEN {}
   ELSE LET steps == Traces[trace] IN
-       steps[SetMin({k \in DOMAIN steps : steps[k].what = "decide" /\ steps[k].length = slots})].tasks
+       steps[SetMin({k \in DOMAIN steps : steps[k].what = "decide" /\ steps[k].log = log})].tasks
 
 says(batch, part) == UNION {i[part] : i \in Range(batch)}
 
@@ -130,13 +173,13 @@ lawful(before, batch, after) ==
   /\ \A y \in after : (\E x \in before : x[1] = y[1]) \/ {y[1], 0} \cap says(batch, "makes") # {}
 
 keeps_tasks ==
-  /\ Same("tasks", tasks_after(step.length), step.tasks)
-  /\ Same("lawful", TRUE, lawful(tasks_after(step.length - 1), step.batch, step.tasks))
+  /\ Same("tasks", tasks_after(step.log), step.tasks)
+  /\ Same("lawful", TRUE, lawful(tasks_after(step.base), step.batch, step.tasks))
 
 TraceNext ==
   \/ TraceStart
   \/ /\ at \in 1..Len(Traces[trace])
-     /\ LET p == <<step.robot, 0>> IN took(p) /\ knows(state'[p])
+     /\ LET p == <<step.robot, 0>> IN took(p) /\ IF step.what = "sync" THEN TRUE ELSE knows(state'[p])
      /\ step.what = "decide" => keeps_tasks
      /\ at' = at + 1 /\ UNCHANGED trace
      /\ PrintT(<<"took", trace, at>>)

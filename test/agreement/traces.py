@@ -24,32 +24,24 @@ from pathlib import Path
 from typing import (
     Any,
     Dict,
-    Iterator,
     List,
     NamedTuple,
     Optional,
     Sequence,
-    Set,
     Tuple,
-    Type,
-    Union,
 )
-from unittest import mock
 
 from agreement.plans import STEERED, make_plan
 from agreement.specification import FOLDER, JAR, why_not
+from agreement.trace_notes import Known, Notes, Trace, noting
 from agreement.world import SimulatedNode, ViolationError, Weather, World
 from gspn_framework_package.execution import log_entries
-from gspn_framework_package.execution.agreement.consensus import Consensus
-from gspn_framework_package.execution.agreement.membership import Membership
+from gspn_framework_package.execution.agreement import interface
 from gspn_framework_package.execution.agreement.messages import Batch
-from gspn_framework_package.execution.agreement.proposals import ProposalQueue
 from gspn_framework_package.execution.agreement.quorum import Ballot
-from gspn_framework_package.execution.agreement.replication import Replication
 from gspn_framework_package.execution.agreement.state import is_control
 from gspn_framework_package.execution.event_log import EventLog, read_log
 from gspn_framework_package.execution.ledger import Item, Origin
-from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.model.errors import GspnError, LogError
 from gspn_framework_package.model.plan import Synchronisation
 
@@ -59,11 +51,8 @@ CHUNK = 400
 ITEM = re.compile(r"\[entry [^]]*\]")
 """An item of a batch in the text of a step."""
 
-Trace = List[str]
-"""The steps, as TLA+ records."""
-
-DEPARTURES = (log_entries.Leave, log_entries.Evict)
-"""The entries after which a robot is no member any more."""
+DEPARTURES = (log_entries.Evict,)
+"""The entries after which a robot begins another life that its log does not tell from a restart."""
 
 
 class Refused(NamedTuple):
@@ -76,272 +65,32 @@ class Refused(NamedTuple):
     differs: Tuple[str, ...]
 
 
-class Known(NamedTuple):
-    """What a robot knows after a step. ``length``: of its log, with the first slot."""
-
-    length: int
-    promised: Ballot
-    accepted: Optional[Tuple[Ballot, Batch]]
-    incarnation: int
-    frozen: bool
-    tasks: str = "{}"
+def loses_power(seed: int) -> bool:
+    """Whether machines lose power in the trace with this seed."""
+    return seed // 4 % 4 == 0
 
 
-class Notes:
-    """The steps of a team, as they happen.
+def traced(
+    seed: int, robots: int, steps: int = 60, partial: bool = False, more: bool = False
+) -> Trace:
+    """Run a team, and return its first steps.
 
-    :param names: the robots, in the order of the plan.
-    :param beyond: entries with which something begins that the trace does not know.
+    :param more: whether robots leave, too, and operators say that robots are off, and, with some
+        seeds (:func:`loses_power`), machines lose power.
     """
-
-    def __init__(self, names: Sequence[str], beyond: Tuple[Type[Any], ...]) -> None:
-        self.beyond = beyond
-        self.robots = {name: number for number, name in enumerate(names, 1)}
-        self.steps: Trace = []
-        self.logs: Dict[str, List[str]] = {name: [] for name in names}  # ids, as they appear
-        self.tasks: Dict[str, int] = {}  # the numbers of tasks, as they appear
-        self.alone: Set[Origin] = set()  # the local transitions: records of slots do not say so
-        self.busy: List[str] = []  # what a robot does that is one step of the specification
-        self.ended = False  # something happened that traces do not know
-
-    def _item(self, item: Item) -> str:
-        robot, incarnation, number, log = item.origin
-        by = of = self.robots[robot]
-        if item.private:
-            self.alone.add(item.origin)
-        name, life = "Move" if item.origin in self.alone else "Done", 0
-        if isinstance(item.entry, log_entries.Join):
-            name, life = "Join", item.entry.incarnation
-        elif isinstance(item.entry, log_entries.Evict):
-            name, life, of = "Evict", item.entry.incarnation, self.robots[item.entry.robot]
-        elif is_control(item.entry):
-            name = "GiveBack"  # the order that the specification knows again and again
-        return (
-            '[entry |-> "%s", robot |-> %d, life |-> %d, forced |-> FALSE, by |-> %d, '
-            "incarnation |-> %d, number |-> %d, log |-> %d, told_at |-> 0, before |-> <<>>, %s]"
-            % (
-                name,
-                of,
-                life,
-                by,
-                incarnation,
-                number,
-                self.log(robot, log),
-                self._says(item.entry),
-            )
-        )
-
-    def _says(self, entry: log_entries.Entry) -> str:
-        """What an entry says about tasks: which may come in (0: one that comes again and again), end,
-        and leave the hands of robots."""
-        makes, ends, frees = "", "", ""
-        if isinstance(entry, log_entries.Submit):
-            makes = ends = str(self._task(entry.id))
-            if entry.replaces:
-                ends += ", %d" % self._task(entry.replaces)
-        elif isinstance(entry, log_entries.TaskDue):
-            makes = "0"
-        elif isinstance(entry, log_entries.CancelTask):
-            ends = str(self._task(entry.id))
-        elif isinstance(entry, log_entries.GiveBack):
-            frees = str(self._task(entry.id))
-        return "makes |-> {%s}, ends |-> {%s}, frees |-> {%s}" % (makes, ends, frees)
-
-    def _task(self, name: str) -> int:
-        return self.tasks.setdefault(name, len(self.tasks) + 1)
-
-    def whereabouts(self, team: TeamState) -> str:
-        """Where the tasks are that a team knows: with a robot, nowhere else (0), or how they ended,
-        and after how many other ends."""
-        found = [(each.task.id, "waits", self.robots.get(each.robot, 0)) for each in team.tasks()]
-        ended = [each.id for each in team.ended_tasks]
-        for at, each in enumerate(team.ended_tasks):
-            found.append((each.id, each.outcome, ended[:at].count(each.id)))
-        texts = ['<<%d, "%s", %d>>' % (self._task(name), how, of) for name, how, of in found]
-        return "{%s}" % ", ".join(texts)
-
-    def log(self, robot: str, id_: str) -> int:
-        """The number of a log of a robot, of which this is the id, or its beginning."""
-        logs = self.logs[robot]
-        for number, known in enumerate(logs, 1):
-            if known.startswith(id_) or id_.startswith(known):  # one may be the beginning
-                logs[number - 1] = max(known, id_, key=len)
-                return number
-        if logs:
-            self.ended = True  # of a log that it lost before anybody heard of it
-        logs.append(id_)
-        return len(logs)
-
-    def _batch(self, items: Sequence[Item]) -> str:
-        return "<<%s>>" % ", ".join(self._item(item) for item in items)
-
-    def _ballot(self, ballot: Any) -> str:
-        log = self.log(ballot.robot, ballot.log) if ballot.counter else 0
-        return "<<%d, %d, %d>>" % (ballot.counter, self.robots[ballot.robot], log)
-
-    def note(
-        self,
-        part: Union[Consensus, Membership, ProposalQueue],
-        what: str,
-        ballot: Any,
-        items: Sequence[Item],
-    ) -> None:
-        """Note a step that a replica has taken."""
-        state = part.state
-        fresh = state.ledger.length == 0 and len(self.logs[part.config.name]) < 2
-        if fresh or (what == "decide" and state.ledger.length == 1):
-            return  # the specification leaves the first slot out
-        self.add(
-            part.config.name,
-            what,
-            ballot,
-            items,
-            Known(
-                state.ledger.length,
-                state.promised,
-                state.accepted,
-                state.incarnation,
-                state.is_frozen(),
-                self.whereabouts(state.ledger.state) if what == "decide" else "{}",
-            ),
-        )
-
-    def add(
-        self, robot: str, what: str, ballot: Ballot, items: Sequence[Item], known: Known
-    ) -> None:
-        """Add a step of a robot, which then knew this."""
-        self.ended = self.ended or any(isinstance(item.entry, self.beyond) for item in items)
-        if self.ended:
-            return
-        accepted = "<<>>"
-        if known.accepted is not None:
-            held, batch = known.accepted
-            accepted = "<<%s, %s>>" % (self._ballot(held), self._batch(batch.items))
-        self.steps.append(
-            '[what |-> "%s", robot |-> %d, ballot |-> %s, batch |-> %s, length |-> %d, '
-            "promised |-> %s, accepted |-> %s, incarnation |-> %d, frozen |-> %s, tasks |-> %s]"
-            % (
-                what,
-                self.robots[robot],
-                self._ballot(ballot),
-                self._batch(items),
-                max(0, known.length - 1),
-                self._ballot(known.promised),
-                accepted,
-                known.incarnation,
-                str(known.frozen).upper(),
-                known.tasks,
-            )
-        )
-
-
-@contextlib.contextmanager
-def noting(notes: Notes) -> Iterator[None]:
-    """While this runs, every step of a consensus is noted, every new life of a robot, and what it
-    does about a log that it lost."""
-    promise, persist, answer = (
-        Consensus._promise,
-        Consensus._persist_accepted,
-        Consensus._answer_prepare,
-    )
-    commit, take_snapshot = Replication._commit, Replication._take_snapshot
-    new_life, forget, hear, join = (
-        Membership.new_life,
-        Membership.forget,
-        Membership._note_log,
-        Membership.want_to_join,
-    )
-    move = ProposalQueue.add_local_transition
-
-    def promising(self: Consensus, ballot: Any, torn: Any) -> None:
-        promise(self, ballot, torn)
-        mine = ballot.robot == self.config.name
-        notes.note(self, "propose" if mine else "promise", ballot, ())
-
-    def accepting(self: Consensus, slot: int) -> None:
-        persist(self, slot)
-        assert self.state.accepted is not None
-        ballot, batch = self.state.accepted
-        mine = ballot.robot == self.config.name
-        notes.note(self, "second_phase" if mine else "vote", ballot, batch.items)
-
-    def answering(self: Consensus, message: Any, body: Any, vote: bool) -> None:
-        answer(self, message, body, vote)
-        if self.config.partial and not vote:
-            notes.note(self, "answer", body.ballot, ())
-
-    def deciding(self: Replication, batch: Any, ballot: Any, **how: Any) -> None:
-        length = self.state.ledger.length
-        notes.busy.append("commit")
-        commit(self, batch, ballot, **how)
-        notes.busy.pop()
-        found = self.state.recent.since(length)
-        if self.state.ledger.length != length + 1 or not found:
-            notes.ended = True
-        else:
-            notes.note(self.membership, "decide", ballot, found[0][1].items)
-
-    def learning(self: Replication, *args: Any) -> Any:
-        notes.ended = True
-        return take_snapshot(self, *args)
-
-    def moving(self: ProposalQueue, entry: Any, firing: Any) -> Origin:
-        origin = move(self, entry, firing)
-        notes.note(self, "move", self.state.promised, (Item(entry, origin, True),))
-        return origin
-
-    def resuming(self: Membership) -> None:
-        new_life(self)
-        if "commit" not in notes.busy:
-            what = "new_life" if "join" in notes.busy else "resume"
-            notes.note(self, what, self.state.promised, ())
-
-    def joining(self: Membership) -> None:
-        notes.busy.append("join")
-        join(self)
-        notes.busy.pop()
-
-    def forgetting(self: Membership, why: str, keep: bool = False) -> None:
-        forget(self, why, keep)
-        notes.logs[self.config.name].append(self.state.log_id)
-        if "commit" not in notes.busy:
-            notes.ended = notes.ended or keep
-            notes.note(self, "forget", self.state.promised, ())
-
-    def hearing(self: Membership, robot: str, log: str, *, sure: bool) -> None:
-        hear(self, robot, log, sure=sure)
-        number = notes.log(robot, log)
-        if len(notes.logs[self.config.name]) > 1:
-            notes.note(self, "hear", Ballot(number, robot, log), ())
-
-    steps = mock.patch.multiple(
-        Consensus,
-        _promise=promising,
-        _answer_prepare=answering,
-        _persist_accepted=accepting,
-    )
-    slots = mock.patch.multiple(Replication, _commit=deciding, _take_snapshot=learning)
-    lives = mock.patch.multiple(
-        Membership, new_life=resuming, forget=forgetting, _note_log=hearing, want_to_join=joining
-    )
-    moves = mock.patch.object(ProposalQueue, "add_local_transition", moving)
-    with steps, slots, lives, moves:
-        yield
-
-
-def traced(seed: int, robots: int, steps: int = 60, partial: bool = False) -> Trace:
-    """Run a team, and return its first steps."""
     source = random.Random("traces|%d" % seed)
     evict_after = 1.0 if source.random() < 0.3 else 0.0
     plan = make_plan(seed, robots, partial, evict_after, 0.0, False)
     bad = source.random() < 0.7
     weather = Weather(loss=0.2, duplication=0.2, late=0.3) if bad else Weather()
     world = World(plan, seed, weather)
-    notes = Notes([robot.name for robot in plan.robots], (log_entries.Leave,))
+    notes = Notes([robot.name for robot in plan.robots], ())
     with noting(notes), contextlib.suppress(ViolationError):
         for node in world.nodes.values():
             node.start()
         _stop_sometimes(world, source, notes)
+        if more:
+            _depart_sometimes(world, source, notes, loses_power(seed))
         if partial:
             _order_sometimes(world, source)
         if plan.submissions:
@@ -371,6 +120,79 @@ def _stop_sometimes(world: World, source: random.Random, notes: Notes) -> None:
         world.at(until, node.resume)
     pause = source.uniform(0.0, 0.4)
     world.at(until + pause, lambda: _stop_sometimes(world, source, notes))
+
+
+def _depart_sometimes(
+    world: World, source: random.Random, notes: Notes, without_power: bool
+) -> None:
+    if without_power:
+        world.fsync = False
+        world.keep_syncing(0.1)
+        world.at(source.uniform(0.1, 0.6), lambda: _lose_power(world, source, notes))
+    if source.random() < 0.3:
+        world.at(source.uniform(0.1, 1.0), lambda: _assert_off(world, source))
+    if source.random() < 0.2:
+        world.at(source.uniform(0.1, 1.0), lambda: _leave(world, source))
+
+
+def _assert_off(world: World, source: random.Random) -> None:
+    """Switch robots off or cut them off, say at another one that they are off, and let them return."""
+    nodes = list(world.nodes.values())
+    if not all(node.replica is not None and node.replica.state.active for node in nodes):
+        world.at(world.now + 0.1, lambda: _assert_off(world, source))
+        return
+    asked = nodes.pop(source.randrange(len(nodes)))
+    gone, cut = source.sample(nodes, source.randint(1, len(nodes))), source.random() < 0.4
+    links = {(a.key, b.key) for a in gone for b in world.nodes.values() if b not in gone}
+    links |= {(b, a) for a, b in links}
+    if cut:
+        world.blocked |= links
+    for node in gone:
+        if not cut:
+            node.crash()
+
+    def order() -> None:
+        for node in gone:
+            asked.give(interface.ForceEvict("f%s" % node.name, node.name))
+
+    def back() -> None:
+        world.blocked -= links
+        for node in gone:
+            if not cut:
+                node.start()
+
+    world.at(world.now + 0.4, order)
+    world.at(world.now + source.uniform(0.5, 1.5), back)
+
+
+def _lose_power(world: World, source: random.Random, notes: Notes) -> None:
+    """The power of some machines fails, or of all, and with it the newest records of their logs."""
+    nodes = list(world.nodes.values())
+    if not all(node.replica is not None and node.replica.state.active for node in nodes):
+        world.at(world.now + 0.1, lambda: _lose_power(world, source, notes))
+        return
+    some = source.choice([len(nodes), source.randint(1, len(nodes))])
+    for node in source.sample(nodes, some):
+        disk = node.disk
+        assert disk is not None
+        whole = [n for name, n in notes.lines if name == node.name and n >= disk.synced]
+        disk.synced = source.choice([*whole, len(disk.lines)])  # nothing of a step, or all of it
+        del disk.lines[disk.synced :]
+        node.lose_power()
+        notes.lose_power(node.name, disk.synced)
+        world.at(world.now + source.uniform(0.01, 0.5), node.start)
+
+
+def _leave(world: World, source: random.Random) -> None:
+    """A robot leaves in order, and is started again."""
+    node = source.choice(world.alive() or list(world.nodes.values()))
+    world.operator(log_entries.Leave(node.name), node)
+
+    def back() -> None:
+        node.crash()
+        node.start()
+
+    world.at(world.now + source.uniform(0.5, 1.5), back)
 
 
 def _start_without_log(world: World, node: SimulatedNode, notes: Notes) -> None:
@@ -463,24 +285,37 @@ def traced_logs(logs: Sequence[EventLog], steps: int = 300) -> Tuple[Trace, int,
                 Item(log_entries.from_json(e), Origin(*o), tuple(o) in alone) for e, o in found
             ]
             what, length, accepted = "decide", length + 1, None
-        known[robot] = Known(length, promised, accepted, incarnation, ballot in frozen)
+        known[robot] = Known(
+            length,
+            promised,
+            accepted,
+            incarnation,
+            ballot in frozen,
+            "{}",
+            (max(0, length - 2), length - 1),
+        )
         notes.add(robot, what, ballot, items, known[robot])
     return notes.steps[:steps], len(robots), partial
 
 
 def check(
-    traces: Sequence[Trace], robots: int, partial: bool = False, holds: bool = True
+    traces: Sequence[Trace],
+    robots: int,
+    partial: bool = False,
+    holds: bool = True,
+    outages: bool = False,
 ) -> List[Refused]:
     """Have TLC play the traces; returns those that it refuses.
 
     :param holds: whether the traces say when robots make no local transitions.
+    :param outages: whether machines lose power in them.
     """
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         for name in ("agreement.tla", "trace.tla"):
             (folder / name).write_text((FOLDER / name).read_text("utf-8"), "utf-8")
         (folder / "traces.tla").write_text(_module(traces), "utf-8")
-        (folder / "traces.cfg").write_text(_configuration(robots, partial, holds), "utf-8")
+        (folder / "traces.cfg").write_text(_configuration(robots, partial, holds, outages), "utf-8")
         done = subprocess.run(
             [
                 "java",
@@ -535,7 +370,7 @@ def _module(traces: Sequence[Trace]) -> str:
     return "\n".join(["---- MODULE traces ----", *lines, told, "====", ""])
 
 
-def _configuration(robots: int, partial: bool, holds: bool) -> str:
+def _configuration(robots: int, partial: bool, holds: bool, outages: bool) -> str:
     constants = {
         "Robots": str(robots),
         "Wants": "{}",
@@ -549,10 +384,12 @@ def _configuration(robots: int, partial: bool, holds: bool) -> str:
     }
     faults = "Restarts Losses Outages Evictions Assertions Moves Pauses GiveBacks"
     constants.update(dict.fromkeys(faults.split(), "0"), Restarts="1000")
-    constants.update(Losses="1000", Moves="1000", Pauses="1")
+    constants.update(Losses="1000", Moves="1000", Pauses="1", Assertions="1")
+    constants.update(Outages="1000" if outages else "0")
     lines = ["SPECIFICATION TraceSpec", "CONSTANTS"]
     lines += ["  %s = %s" % pair for pair in constants.items()]
     lines += ["  batches <- TraceBatches", "  counters <- TraceCounters"]
+    lines += ["  forced_batches <- TraceForcedBatches", "  not_given_up <- TraceNotGivenUp"]
     lines += [
         "  wants <- TraceWants",
         "  spoken_for <- TraceSpokenFor",
@@ -583,17 +420,20 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     wrong = 0
     for first in range(args.seed, args.seed + args.traces, CHUNK):
         seeds = range(first, min(first + CHUNK, args.seed + args.traces))
-        for robots, partial in ((2, False), (3, False), (2, True), (3, True)):
+        for kind in range(8):
+            robots, partial, outages = 2 + kind % 2, kind & 2 > 0, kind >= 4
             begin = time.monotonic()
-            mine = [seed for seed in seeds if seed % 4 == robots - 2 + 2 * partial]
-            traces = [traced(seed, robots, partial=partial) for seed in mine]
-            steps, refused = sum(map(len, traces)), check(traces, robots, partial)
+            mine = [seed for seed in seeds if seed % 4 == kind % 4 and loses_power(seed) == outages]
+            traces = [traced(seed, robots, partial=partial, more=True) for seed in mine]
+            steps, refused = sum(map(len, traces)), check(traces, robots, partial, outages=outages)
             wrong += len(refused)
-            kind, took = "partial" if partial else "full", time.monotonic() - begin
-            figures = (robots, kind, len(traces), steps, len(refused), took)
+            text = "%s%s" % ("partial" if partial else "full", ", power fails" if outages else "")
+            figures = (robots, text, len(traces), steps, len(refused), time.monotonic() - begin)
             print("%d robots, %s: %d traces, %d steps, %d refused, %.1f s" % figures, flush=True)
             for one in refused[:10]:
-                print("refused: trace %d, step %d: %s\n  differs: %s" % one)
+                print(
+                    "refused: seed %d, step %d: %s\n  differs: %s" % (mine[one.trace - 1], *one[1:])
+                )
     return int(wrong > 0)
 
 

@@ -8,7 +8,7 @@ from unittest import mock
 
 import pytest
 
-from agreement import specification, traces
+from agreement import specification, trace_notes, traces
 from agreement.mutants import MUTANTS
 from agreement.plans import make_plan
 from agreement.world import Weather, World
@@ -84,6 +84,33 @@ def test_the_specification_allows_what_replicas_do_and_no_seeded_fault(
     assert {owners[one.trace - 1] for one in of_tasks} == set(faults) & TASKS
 
 
+DEPARTURES = {"rest decides": (940005,), "decides and stays": (940025,)}
+OUTAGES = {"quorum of torn": (940017,), "torn without all": (940017,)}
+"""Seeded faults of evictions by force, and of losses of power."""
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize(
+    "seeds, partial, faults",
+    [(range(4, 16), False, DEPARTURES), (range(4), False, OUTAGES), (range(16, 20), True, {})],
+    ids=["evicted by force", "power", "power partial"],
+)
+def test_robots_that_leave_are_said_to_be_off_or_lose_power_do_what_is_allowed(
+    seeds: Sequence[int], partial: bool, faults: Dict[str, Sequence[int]]
+) -> None:
+    runs = [traces.traced(seed, 3, 40, partial, True) for seed in seeds]
+    outages = traces.loses_power(seeds[0])
+    for kind in ("outage", "torn", "sync") if outages else ("Leave", "assert"):
+        assert any('"%s"' % kind in step for steps in runs for step in steps), kind
+    owners = [""] * len(runs)
+    for name, broken in faults.items():
+        with _seeded(name):
+            runs += [traces.traced(seed, 3, 60, partial, True) for seed in broken]
+        owners += [name] * len(broken)
+    refused = traces.check(runs, 3, partial, outages=outages)
+    assert {owners[one.trace - 1] for one in refused} == set(faults)
+
+
 def _logs(seed: int, partial: bool = False) -> List[EventLog]:
     """The logs of a simulated team of two, the second of which is killed and starts again."""
     plan = make_plan(0, 2, partial, 0.0, 0.0, False)
@@ -122,6 +149,6 @@ def test_logs_of_a_team_with_a_witness_are_left_out_with_the_reason() -> None:
 
 @pytest.mark.parametrize("ids", [("aa19c159", "aa19c1590d4e"), ("aa19c1590d4e", "aa19c159")])
 def test_an_entry_has_only_the_beginning_of_the_id_of_a_log(ids):
-    notes = traces.Notes(["r1"], ())
+    notes = trace_notes.Notes(["r1"], ())
     assert [notes.log("r1", id_) for id_ in ids] == [1, 1] and not notes.ended
     assert notes.log("r1", "bb") == 2
