@@ -77,6 +77,13 @@ def test_a_group_is_made_moved_renamed_copied_and_dissolved(edit, axe, picture):
     assert page.evaluate(CHOSEN) == ["place:A"]
     click(page, "B")
 
+    # chosen with another node, a group takes it in
+    page.evaluate("() => window.gspn.edit.choose(['place:A', 'transition:go', 'place:B'])")
+    key(page, "Control+g", "Escape")
+    assert page.evaluate(GROUPS) == {"Way there": ["A", "go", "B"]}
+    key(page, "Control+z")
+    page.evaluate("() => window.gspn.edit.choose([])")
+
     # a drag of the box moves all, and nothing else
     before = {
         n["name"]: n["position"]

@@ -173,6 +173,19 @@ def test_two_people_group_the_same_plan(people):
     change(ben, "d.plan.groups.Out.push('back'); d.plan.description = 'Ben';")
     for page in (ann, ben):
         wait_until(page, "d.plan.groups.Out.length === 4")
+    # another title from one, while the other takes a node out; and back
+    change(ann, "d.plan.groups = {Way: d.plan.groups.Out};")
+    change(
+        ben,
+        "const [title] = Object.keys(d.plan.groups);"
+        "d.plan.groups[title] = d.plan.groups[title].filter((name) => name !== 'go');",
+    )
+    for page in (ann, ben):
+        wait_until(page, "d.plan.groups.Way?.length === 3")
+        assert set(state(page)["plan"]["groups"]) == {"Way"}
+    change(ben, "d.plan.groups = {Out: [...d.plan.groups.Way, 'go']};")
+    for page in (ann, ben):
+        wait_until(page, "d.plan.groups.Out?.length === 4")
     # one dissolves it in part, the other deletes a node of it
     change(ann, "d.plan.groups.Out = ['A', 'B', 'back'];")
     ben.evaluate(

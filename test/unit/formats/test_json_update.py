@@ -187,6 +187,10 @@ def test_new_text_has_a_line_for_each_node_arc_and_row():
     assert json_text({"plan": "p", "net": "net.xml"}) == (
         '{\n  "plan": "p",\n  "net": "net.xml"\n}\n'
     )
+    groups = {"seed": 1, "groups": {"In": ["A", "t"], "Out": ["B"]}}
+    lines = '  "groups": {\n    "In": ["A", "t"],\n    "Out": ["B"]\n  }\n'
+    assert json_text(groups).endswith(lines + "}\n")
+    assert update_json('{\n  "seed": 1\n}\n', groups).endswith(lines + "}\n")
     assert json_text({}) == "{}\n" and json_text([]) == "[]\n"
 
 

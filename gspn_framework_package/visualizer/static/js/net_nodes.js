@@ -71,15 +71,19 @@ export function boxOf(nodes, title, level = 0) {
 
 /** The boxes around nodes, with their titles: [[title, list of nodes], ...]. */
 export function boxesAround(list) {
-  const drawn = []; // {nodes, level, element}, the smallest first
+  const drawn = []; // {members, level, element}, the smallest first
   for (const [title, members] of [...list].sort((a, b) => a[1].length - b[1].length)) {
     const nodes = new Set(members);
-    const inside = drawn.filter((box) => [...box.nodes].every((node) => nodes.has(node)));
+    const inside = drawn.filter((box) => box.members.every((node) => nodes.has(node)));
     const level = Math.max(0, ...inside.map((box) => box.level + 1));
     const [x, y, right, bottom] = boxOf(members, title, level);
     const box = { x, y, width: right - x, height: bottom - y, rx: 12 };
     const text = s("text", { x: x + 12, y: y + 8 }, title);
-    drawn.push({ nodes, level, element: s("g.box", { "data-box": title }, s("rect", box), text) });
+    drawn.push({
+      members,
+      level,
+      element: s("g.box", { "data-box": title }, s("rect", box), text),
+    });
   }
   return drawn.reverse().map(({ element }) => element);
 }

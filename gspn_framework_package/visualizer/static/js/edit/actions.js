@@ -242,32 +242,41 @@ export class Actions {
 
   // -- groups --------------------------------------------------------------------------------------
 
-  /** Make a group of the selected nodes, and ask for its title. */
+  /** Make a group of the selected nodes, and ask for its title. A group that is selected with other nodes takes them
+   * in. */
   group() {
     const { mode } = this;
-    const names = this.chosenNodes().map(({ name }) => name);
-    if (!names.length) {
+    const { canvas } = mode;
+    const nodes = this.chosenNodes();
+    if (!nodes.length) {
       mode.say("Select the places and transitions of the group.");
       return;
     }
-    const title = freeTitle(mode.document.plan, "Group 1");
-    this.edit(`Group ${plural(names.length, "node")}`, ({ plan }) => ({
-      plan: withGroup(plan, names, title),
+    const [known, ...more] = this.chosenGroups();
+    const grows =
+      known && !more.length && canvas.groups.get(known).every((it) => nodes.includes(it));
+    const title = grows ? known : freeTitle(mode.document.plan, "Group 1");
+    const names = nodes.filter((it) => !grows || !canvas.groupOf(it)).map(({ name }) => name);
+    this.edit(`Group ${plural(nodes.length, "node")}`, ({ plan }) => ({
+      plan: names.length ? withGroup(plan, names, title) : plan,
     }));
     mode.beginRename(`group:${title}`);
+  }
+
+  /** The titles of the groups in which selected nodes are. */
+  chosenGroups() {
+    const titles = this.chosenNodes().map((node) => this.mode.canvas.groupOf(node));
+    return [...new Set(titles)].filter((title) => title !== undefined);
   }
 
   /** Dissolve the groups in which selected nodes are. */
   ungroup() {
     const { mode } = this;
-    const { canvas } = mode;
-    const nodes = this.chosenNodes();
-    const titles = new Set(nodes.map((node) => canvas.groupOf(node)));
-    titles.delete(undefined);
-    const names = [...titles].flatMap((title) => canvas.groups.get(title).map(({ name }) => name));
+    const titles = this.chosenGroups();
+    const names = titles.flatMap((title) => mode.canvas.groups.get(title).map(({ name }) => name));
     if (!names.length) mode.say("Select a group to dissolve it.");
     else
-      this.edit(`Dissolve ${[...titles].join(", ")}`, ({ plan }) => ({
+      this.edit(`Dissolve ${titles.join(", ")}`, ({ plan }) => ({
         plan: withGroup(plan, names, ""),
       }));
   }

@@ -161,10 +161,27 @@ class Merge {
   }
 }
 
-/** A plan whose groups are merged node by node: `groups` says for each node in which one it is. */
-const byNode = (plan) => {
+/** The groups of `base` that have another title in `plan`: title -> title. Their nodes that are left are all in a group
+ * that `base` has not. */
+function retitled(base, plan) {
+  const [was, now] = [groupsIn(base), groupsIn(plan)];
+  const made = Object.keys(now).filter((title) => !Object.hasOwn(was, title));
+  const found = Object.keys(was)
+    .filter((title) => !Object.hasOwn(now, title))
+    .map((title) => [
+      title,
+      made.filter((it) => now[it].some((name) => was[title].includes(name))),
+    ]);
+  return new Map(
+    found.filter(([, { length }]) => length === 1).map(([title, [to]]) => [title, to]),
+  );
+}
+
+/** A plan whose groups are merged node by node: `groups` says for each node in which one it is. `titles`: those that
+ * somebody else has changed. */
+const byNode = (plan, titles) => {
   const of = Object.entries(groupsIn(plan)).flatMap(([title, names]) =>
-    names.map((name) => [name, title]),
+    names.map((name) => [name, titles.get(title) ?? title]),
   );
   return plan && { ...plan, groups: Object.fromEntries(of) };
 };
@@ -259,7 +276,13 @@ export function merged(base, mine, theirs, { prefer = NONE, rename = true } = {}
     transitions: listed(named, "transition"),
     arcs: listed(({ from, to }) => `${from} → ${to}`, "arc"),
   });
-  const plan = merge.value(...[base, own, theirs].map((one) => byNode(one.plan)), ["plan"]);
+  const [ownTitles, titles] = [own, theirs].map(({ plan }) => retitled(base.plan, plan));
+  const plan = merge.value(
+    byNode(base.plan, new Map([...titles, ...ownTitles])),
+    byNode(own.plan, titles),
+    byNode(theirs.plan, ownTitles),
+    ["plan"],
+  );
   const policy = merge.policy(base.policy, own.policy, theirs.policy);
   const whole = withNeeded({ ...own, net, plan, policy }, [own, theirs, base], merge);
   const state = { ...whole, plan: withLists(whole, mine.plan) };
