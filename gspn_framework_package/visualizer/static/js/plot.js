@@ -37,7 +37,7 @@ function within(points, from, to) {
 }
 
 /** The value of a curve at `x`; null outside. */
-export function valueAt(points, x) {
+function valueAt(points, x) {
   const next = points.findIndex(([at]) => at >= x);
   if (next < 0 || (next === 0 && points[0][0] > x)) return null;
   if (points[next][0] === x) return points[next][1];
