@@ -362,7 +362,7 @@ class LiveComparison:
                 {
                     "text": cause.alarm.describe(),
                     "size": cause.size(),
-                    "follows": [alarm.describe() for alarm in cause.follows],
+                    "follows": cause.others(),
                 }
                 for cause in causes
             ],

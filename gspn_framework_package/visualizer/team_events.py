@@ -242,13 +242,15 @@ class TeamEvents:
         waiting = [r for r in active if r.phase in (Phase.DONE, Phase.FAILED)]
         if state.paused or not waiting or any(r.phase is Phase.DOING for r in active):
             return ""
-        if self.game.plan.simulate_environment and any(
-            self.net.transitions[t].timed and not self._takes_robots(t) for t in self._enabled.now
-        ):
+        fired = [
+            self.net.transitions[t].name
+            for t in self._enabled.now
+            if self.net.transitions[t].timed and not self._takes_robots(t)
+        ]
+        if fired and self.game.plan.simulate_environment:
             return ""
-        return "%s" % ", ".join(
-            "%s %s" % (r.name, self.game.why_waiting(state, r)) for r in waiting[:3]
-        )
+        why = ["%s %s" % (r.name, self.game.why_waiting(state, r)) for r in waiting[:3]]
+        return ", ".join(why) + ("; the operator may fire %s" % ", ".join(fired) if fired else "")
 
     def _takes_robots(self, t: int) -> bool:
         resources = self.game.plan.resource_places

@@ -101,6 +101,12 @@ class Cause(NamedTuple):
     follows: Tuple[Alarm, ...]
     interval: Optional[Tuple[float, float]]
 
+    def others(self) -> List[str]:
+        """What the alarms that it explains say beyond what it says itself, each once: those of
+        a place and of the team may name the same robot."""
+        said = dict.fromkeys(alarm.describe() for alarm in self.follows)
+        return [text for text in said if text != self.alarm.describe()]
+
     def size(self) -> str:
         """The interval, for people; "" if there is none."""
         if self.interval is None:

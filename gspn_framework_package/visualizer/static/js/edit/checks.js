@@ -3,7 +3,7 @@
 
 import { h, plural } from "../dom.js";
 import { post } from "../api.js";
-import { mended } from "./mend.js";
+import { mendButton } from "./mend.js";
 import { onlyMoved } from "./plan_document.js";
 
 const QUIET = 1000; // ms without an edit after which the state is checked: findings appear when the hand rests
@@ -70,7 +70,8 @@ export class Checks {
   later() {
     if (this.asked && onlyMoved(this.asked, this.mode.document.state)) return;
     this.revision += 1; // answers that arrive now are about another state
-    for (const button of this.list.querySelectorAll(".mend")) button.disabled = true; // so is this
+    this.mode.unjudged = true;
+    for (const button of this.list.querySelectorAll(".mend")) button.disabled = true;
     this.showState("checking", "Checking … the findings below are those before the last edit.");
     this.wait();
   }
@@ -137,9 +138,17 @@ export class Checks {
   show(answer) {
     const { valid, doubts, decided, findings } = answer;
     this.mode.findings = findings;
+    this.mode.unjudged = false;
+    const drawn = this.mode.document.net.places.length > 0;
     const wrong = !valid && findings.some(({ level }) => level === "error");
     this.showState(
-      wrong ? "invalid" : !valid || !decided ? "undecided" : doubts.length ? "doubtful" : "checked",
+      wrong
+        ? "invalid"
+        : !valid || !decided || !drawn
+          ? "undecided"
+          : doubts.length
+            ? "doubtful"
+            : "checked",
       `${this.verdict(answer)}.${decided ? "" : " Not all questions could be decided."}`,
     );
     this.mark(findings);
@@ -203,19 +212,8 @@ export class Checks {
             onclick: () => this.mode.play(witness, markings),
           })
         : "",
-      mend
-        ? h("button.mend", {
-            text: `Mend it: ${mend.label}`,
-            onclick: () => this.mend(mend),
-          })
-        : "",
+      mendButton(this.mode, mend),
     );
-  }
-
-  /** Change what a finding says is wrong, as one edit. */
-  mend(mend) {
-    this.mode.document.edit(`Mend it: ${mend.label}`, (state) => mended(state, mend));
-    this.mode.say(`Done: ${mend.label}. Undo takes it back.`);
   }
 
   /** Select the elements that a finding is about, and move the view there. */

@@ -4,6 +4,7 @@
 import { columns, h, plural, table } from "../dom.js";
 import { Lens } from "./form.js";
 import { iconOf } from "./icons.js";
+import { mendButton } from "./mend.js";
 import { NAMES } from "./names.js";
 import { PlanForm } from "./property_panel.js";
 import { ProposedRows } from "./proposed_rows.js";
@@ -202,10 +203,10 @@ export class PolicyPanel extends PlanForm {
         { "aria-label": "Results of the check of the policy" },
         found
           .slice(0, 10)
-          .map(({ level, text, hint }) =>
+          .map(({ level, text, hint, mend }) =>
             level === "note"
               ? h("li.muted", `✓ ${text}`)
-              : h("li.mark", `⚠ ${text}${hint ? ` (${hint})` : ""}`),
+              : h("li.mark", `⚠ ${text}${hint ? ` (${hint})` : ""}`, mendButton(this.mode, mend)),
           ),
       )
     );
