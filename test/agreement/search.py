@@ -329,12 +329,16 @@ class Search:
     def _check_promises(self, team: Team, outcome: Outcome, node: int) -> None:
         for robot, log, ballot in outcome.relies:
             known = [
-                self.processes[number].promised
+                self.processes[number]
                 for number, host in zip(team.processes, self.hosts)
                 if host.robot == robot and number >= 0
             ]
-            known.append(outcome.promised)
-            if not any((log, ballot) in promised for promised in known):
+            # one that lost its promise with the power, or its log, votes in no slot up to its return,
+            # and is no follower after it
+            if all(process.log_id != log for process in known):
+                continue
+            promised = outcome.promised.union(*(process.promised for process in known))
+            if (log, ballot) not in promised:
                 raise ViolationError(
                     "%s counts on a promise that %s does not remember"
                     % (self.hosts[node].name, robot)
