@@ -102,10 +102,15 @@ class Cause(NamedTuple):
     interval: Optional[Tuple[float, float]]
 
     def others(self) -> List[str]:
-        """What the alarms that it explains say beyond what it says itself, each once: those of
-        a place and of the team may name the same robot."""
-        said = dict.fromkeys(alarm.describe() for alarm in self.follows)
-        return [text for text in said if text != self.alarm.describe()]
+        """What the alarms that it explains say, without those about the same as itself or another:
+        alarms of a place and of the team may name the same robot, by slightly other times."""
+
+        def about(alarm: Alarm) -> Tuple[str, ...]:
+            return alarm.place, alarm.robot, alarm.transition, alarm.direction
+
+        said = {about(alarm): alarm.describe() for alarm in self.follows}
+        said.pop(about(self.alarm), None)
+        return list(said.values())
 
     def size(self) -> str:
         """The interval, for people; "" if there is none."""
