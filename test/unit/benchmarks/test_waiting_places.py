@@ -6,7 +6,16 @@ from typing import Any
 
 import pytest
 
-from benchmarks.waiting_places import HOUR, NORTH, best, learned, waits, warehouse
+from benchmarks.waiting_places import (
+    HOUR,
+    NORTH,
+    best,
+    day_in_room,
+    learned,
+    orders,
+    waits,
+    warehouse,
+)
 
 
 @pytest.mark.long
@@ -18,3 +27,10 @@ def test_robots_wait_where_the_recorded_days_had_orders(tmp_path: Any) -> None:
     assert busy == pytest.approx(NORTH[2], rel=0.35)
     shipped, new = waits(plan, plan.policy, 3), waits(fitted.clock, best(fitted.clock), 3)
     assert shipped.value and new.value and new.value < 0.7 * shipped.value
+
+
+def test_a_day_in_the_room_is_driven() -> None:
+    pytest.importorskip("pybullet")
+    ((when, _),) = orders(18, 15.0)
+    found = day_in_room(warehouse(), 18, 2.0)
+    assert found.picked == 1 and 35.0 < found.waited < 120.0 - when
