@@ -219,12 +219,12 @@ TOOLS = {
         },
     ),
     "optimise": _Tool(
-        "Compute the best policy of a plan for one aim (reward, mean_time_to, cost_to or reach), "
-        "with certified bounds.",
+        "Compute the best policy of a plan, or of a net of decisions, for one aim (reward, "
+        "mean_time_to, cost_to or reach), with certified bounds.",
         "optimise",
         (
             *("robots", *_AIM, "never", "at-least", "may-wait", "timing", "rates", "uncertain"),
-            *("team-sizes", "width", "simulate", "seed", *_EFFORT),
+            *("team-sizes", "width", "simulate", "seed", *_INPUT, *_EFFORT),
         ),
         {"plan": _PLAN, "may_wait": _MAY_WAIT, "output": _OUTPUT},
         answer={

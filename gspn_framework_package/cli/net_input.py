@@ -25,7 +25,7 @@ _NET: Arguments = {
     ),
 }
 
-_READING: Arguments = {
+READING_OF_NETS: Arguments = {
     Argument("--from", "FORMAT", dest="source_format"): (
         "the format of NET (default: recognised by the content)"
     ),
@@ -57,7 +57,7 @@ _SUBJECT: Arguments = {
 def add_net_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the net and the options for reading it."""
     add_options(parser, _NET)
-    add_options(parser.add_argument_group("reading the net"), _READING)
+    add_options(parser.add_argument_group("reading the net"), READING_OF_NETS)
 
 
 def read_net_argument(args: argparse.Namespace) -> Tuple[Net, List[str]]:

@@ -1,28 +1,40 @@
-"""``gspn optimise``: computes the best policy of a plan for an aim, and writes the plan with it."""
+"""``gspn optimise``: computes the best policy of a plan, or of a net of decisions, for an aim, and
+writes the plan with it."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import os
-from typing import List, Optional, Tuple
+from typing import Any, Dict, List, Optional, Tuple
 
 from gspn_framework_package.analysis.decisions.aims import AIM_WIDTH, NARROWEST, AtLeast, Request
+from gspn_framework_package.analysis.decisions.net_choices import plan_of_choices
 from gspn_framework_package.analysis.decisions.optimise import SIMULATED, optimise
 from gspn_framework_package.analysis.decisions.report import Report
-from gspn_framework_package.analysis.plan.reading import READINGS, RUN
+from gspn_framework_package.analysis.plan.reading import NET, READINGS, RUN
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.aims import AIM_OPTIONS, objective_of, pairs
 from gspn_framework_package.cli.limits import LIMIT_OPTIONS, ON_OPTION, limits_of, working_on
-from gspn_framework_package.cli.net_input import FITTED, RATES_OPTION, print_notes
+from gspn_framework_package.cli.net_input import (
+    FITTED,
+    RATES_OPTION,
+    READING_OF_NETS,
+    print_notes,
+    read_net_or_plan_argument,
+)
 from gspn_framework_package.cli.options import Argument, Arguments, add_options, choice, repeated
 from gspn_framework_package.cli.plan_output import plan_path, refuse_existing, write_plan
-from gspn_framework_package.formats.plan_file import plan_document, read_plan
+from gspn_framework_package.formats.plan_file import is_plan, plan_document
+from gspn_framework_package.formats.plan_json import plan_to_short_json
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
 
 _OPTIONS: Arguments = {
-    Argument("plan", "PLAN"): "a plan file, or a folder with a plan.json",
+    Argument("net_file", "PLAN"): (
+        "a plan file, a folder with a plan.json, or a net whose immediate transitions of weight 0 "
+        "are choices"
+    ),
     Argument("-o --output", "NEW_PLAN"): (
         "the plan with the computed policy: a new .json file, or a folder for plan.json and the "
         "functions; by default nothing is written"
@@ -85,18 +97,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of this verb."""
     add_options(parser, _OPTIONS)
     add_request_arguments(parser)
+    add_options(parser.add_argument_group("reading a net"), READING_OF_NETS)
     parser.epilog = (
         "Exit codes: 0 there is an answer, 1 there is none (the constraints cannot be met, or a "
-        "limit was reached), or a later step failed, such as the simulation, 2 not a plan, or "
-        "wrong usage."
+        "limit was reached), or a later step failed, such as the simulation, 2 neither a plan nor "
+        "a net, or wrong usage."
     )
 
 
 def run(args: argparse.Namespace) -> int:
     """Compute the policy, write the plan with it, and print the report."""
-    plan = read_plan(args.plan)
-    if args.robots is not None:
-        plan = plan.for_robots(args.robots)
+    plan, read_notes = _subject(args)
+    print_notes(read_notes)
     request = request_in_arguments(args, len(plan.robots))
     request.resolved(plan.net)  # report errors before reading or computing anything
     path = None
@@ -108,7 +120,7 @@ def run(args: argparse.Namespace) -> int:
     notes: List[str] = []
     try:
         if path is not None:
-            data = plan_document(args.plan, report.plan, os.path.dirname(os.path.abspath(path)))
+            data = _document(args, report.plan, os.path.dirname(os.path.abspath(path)))
             notes = write_plan(report.plan, data, args.output)
     finally:  # the answer is printed even if it cannot be written
         if args.json:
@@ -117,6 +129,24 @@ def run(args: argparse.Namespace) -> int:
             print("\n".join(report.lines()))
             print_notes(notes)
     return max((failure.exit_code for failure in report.failures), default=0)
+
+
+def _subject(args: argparse.Namespace) -> Tuple[Plan, List[str]]:
+    """The plan, or that of the choices of a net, which has no run to simulate; and notes."""
+    subject, notes = read_net_or_plan_argument(args)
+    if isinstance(subject, Plan):
+        return (subject if args.robots is None else subject.for_robots(args.robots)), notes
+    if args.robots is not None or args.team_sizes is not None or args.rates != FITTED:
+        raise UsageError("--robots, --team-sizes and --rates are for plans; this is a net")
+    args.timing, args.simulate = NET, 0.0
+    return plan_of_choices(subject), notes
+
+
+def _document(args: argparse.Namespace, plan: Plan, folder: str) -> Dict[str, Any]:
+    """The JSON object of the plan with the policy, to be written in a folder."""
+    if args.source_format is None and is_plan(args.net_file):
+        return plan_document(args.net_file, plan, folder)
+    return plan_to_short_json(plan)
 
 
 def optimised(plan: Plan, request: Request, args: argparse.Namespace) -> Report:

@@ -2,6 +2,6 @@
 certified bounds, and back to a table in the plan's format.
 
 Modules: ``aims``, ``automaton``, ``building``, ``decision_net``, ``decisions``, ``export``,
-``grouping``, ``optimise``, ``playing``, ``problem``, ``report``, ``rolling``, ``rollout``,
-``safety``, ``solving``, ``who_decides``.
+``grouping``, ``net_choices``, ``optimise``, ``playing``, ``problem``, ``report``, ``rolling``,
+``rollout``, ``safety``, ``solving``, ``who_decides``.
 """

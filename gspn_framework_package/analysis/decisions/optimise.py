@@ -185,7 +185,10 @@ class _Exactly:
                 % own.grouped.evaluated.value
             )
         report.add("the cost of the rule", lambda: self._add_price_of_never(report, solution))
-        report.add("the value of the present policy", lambda: self._add_present(report, own))
+        if self._plan.policy.rows or self._plan.actions or self._plan.robots:
+            report.add("the value of the present policy", lambda: self._add_present(report, own))
+        else:
+            report.present_why = "a net has none"
         worse = self._is_worse(report)
         if own.grouped.kept or worse:
             report.plan, report.teams = self._plan, report.teams[:1]
