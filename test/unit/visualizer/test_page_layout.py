@@ -109,7 +109,7 @@ def test_without_graphviz_a_grid_does(monkeypatch):
 
 
 def test_graphviz_has_a_deadline():
-    assert layout._graphviz(philosophers(60), "dot", 0.001) is None
+    assert layout._graphviz(philosophers(60), {}, "dot", 0.001) is None
 
 
 def test_a_layout_is_computed_once(monkeypatch):

@@ -95,6 +95,13 @@ export class Labels {
     this.timer = setTimeout(() => this.place(), this.drawn ? 110 : 0);
   }
 
+  /** Place all names at once, for a picture; those of nodes out of view do not stay. */
+  placeAll() {
+    clearTimeout(this.timer);
+    this.place(true);
+    this.later();
+  }
+
   /** Tokens have moved: if only nodes with tokens are named, update the names occasionally. */
   follow() {
     if (this.few && !this.timer) this.timer = setTimeout(() => this.place(), FOLLOW);
@@ -107,7 +114,7 @@ export class Labels {
     return (node.kind === "place" ? node.count > 0 || node.robots : node.enabled) ? 2 : 3;
   }
 
-  place() {
+  place(all = false) {
     this.timer = 0;
     const { view } = this;
     if (!view.camera.now || !view.nodes.length) return;
@@ -118,7 +125,8 @@ export class Labels {
     for (const node of view.nodes) {
       if (node.folded && node.folded !== node) continue; // hidden in a subnet
       const [sx, sy] = [node.x * k + x, node.y * k + y];
-      if (sx > -60 && sy > -40 && sx < width + 60 && sy < height + 40) seen.push({ node, sx, sy });
+      const inView = sx > -60 && sy > -40 && sx < width + 60 && sy < height + 40;
+      if (all || inView) seen.push({ node, sx, sy });
       else this.take(node, null);
     }
     const size = Math.max(k, 1) * FONT * Math.min(1, 1.06 - 0.06 / Math.max(k, 0.2)); // on the screen
@@ -132,8 +140,8 @@ export class Labels {
           )
         : [],
     );
-    const crowded = (this.few = k < CROWDED);
-    const least = k < TINY ? 1 : crowded ? 2 : 3; // highest rank that is named at this zoom
+    const crowded = (this.few = !all && k < CROWDED);
+    const least = crowded ? (k < TINY ? 1 : 2) : 3; // highest rank that is named at this zoom
     const order = [];
     for (const item of seen) {
       const rank = this.rank(item.node);
@@ -144,7 +152,7 @@ export class Labels {
     this.k = k;
     this.shown = shown;
     this.line = shown * 1.25;
-    this.room = [2, 2, width - 2, height - 2];
+    this.room = all ? [-Infinity, -Infinity, Infinity, Infinity] : [2, 2, width - 2, height - 2];
     this.fixed = new Boxes();
     this.names = new Boxes();
     this.placed = new Map(); // item -> box of its name
@@ -160,9 +168,9 @@ export class Labels {
       if (node.sign) this.fixed.add([sx + 8 * k, sy - 29 * k, sx + 26 * k, sy - 11 * k]);
     }
     if (view.arcs.all.length <= ARCS) this.sampleArcs(this.points, view.camera.now);
-    for (const element of view.container.parentElement.querySelectorAll(
-      ".zoom, .frame-name, .subnets, .boxes text",
-    )) {
+    const { parentElement } = view.container;
+    const over = all ? ".boxes text" : ".zoom, .frame-name, .subnets, .boxes text";
+    for (const element of parentElement.querySelectorAll(over)) {
       const box = element.getBoundingClientRect();
       this.fixed.add([box.left - left, box.top - top, box.right - left, box.bottom - top]);
     }

@@ -63,6 +63,7 @@ export function download(blob, name) {
 /** The drawing as the text of an SVG file, with its size. */
 export function svgOf(canvas) {
   canvas.settle(); // all arcs under all nodes
+  canvas.labels.placeAll();
   const [x0, y0, x1, y1] = canvas.bounds();
   const [x, y] = [x0 - MARGIN, y0 - MARGIN];
   const [width, height] = [x1 - x0 + 2 * MARGIN, y1 - y0 + 2 * MARGIN].map(Math.ceil);
