@@ -341,13 +341,16 @@ def _ours(case: Case, engine: str) -> Measurement:
 def _storm(case: Case, sound: bool) -> Measurement:
     import stormpy
 
-    from benchmarks.storm import storm_automaton, storm_jani
+    from benchmarks.storm import storm_jani
+    from gspn_framework_package.analysis.decisions.storm import automaton_in_drn
 
     start = time.perf_counter()
     if case.kind == "patrol":
         automaton, rewards, allowed = _patrol()
         with tempfile.TemporaryDirectory() as folder:
-            model = storm_automaton(automaton, rewards, None, folder, allowed)
+            file = Path(folder, "automaton.drn")
+            file.write_text(automaton_in_drn(automaton, rewards, None, allowed), encoding="utf-8")
+            model = stormpy.build_model_from_drn(str(file))
         properties = list(stormpy.parse_properties('R{"earned"}max=? [LRA]'))
         start = time.perf_counter()
     else:

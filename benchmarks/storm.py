@@ -1,15 +1,9 @@
-"""Converts nets and Markov automata to models for Storm. Only the benchmark and the tests use
-stormpy, from PyPI."""
+"""Converts nets to models for Storm."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any, Dict, List, Optional
+from typing import Any
 
-import numpy as np
-
-from gspn_framework_package.analysis.arrays import Booleans
-from gspn_framework_package.analysis.decisions.automaton import Automaton, Rewards
 from gspn_framework_package.model.net import Net
 
 
@@ -54,50 +48,3 @@ def storm_jani(net: Net, *, clock: bool = False) -> Any:
             builder.add_output_arc(name, after, 1)
     jani, _ = gspn.build_jani_model(builder.build_gspn())
     return jani
-
-
-def storm_automaton(
-    automaton: Automaton,
-    rewards: Rewards,
-    goal: Optional[Booleans],
-    folder: str,
-    allowed: Optional[Booleans] = None,
-) -> Any:
-    """A Markov automaton as Storm reads it from a file, which is written into ``folder``. Its
-    rewards are called ``earned``, its goal ``goal``. A tangible state without arcs gets an arc to
-    itself; several initial states are not possible. Only the ``allowed`` rows are written.
-
-    Storm knows rewards of states (per second) and of choices only: what the arcs of a choice earn
-    is averaged over them; in a tangible state it is earned per second.
-    """
-    import stormpy
-
-    states, rows = len(automaton), len(automaton.choices)
-    weights = automaton.values * np.asarray(rewards.impulse, dtype=np.float64)
-    earned = np.bincount(automaton.arc_rows, weights=weights, minlength=rows)
-    lines: List[str] = ["@type: Markov Automaton", "@parameters", "", "@reward_models", "earned"]
-    lines += ["@nr_states", str(states)]
-    written = np.ones(rows, dtype=bool) if allowed is None else allowed
-    lines += ["@nr_choices", str(int(written.sum())), "@model"]
-    for state in range(states):
-        first, last = int(automaton.rows[state]), int(automaton.rows[state + 1])
-        tangible = bool(automaton.tangible[state])
-        labels = [" init"] if state == automaton.initial[0][0] else []
-        if goal is not None and goal[state]:
-            labels.append(" goal")
-        rate = float(automaton.exit_rates[first]) if tangible else 0.0
-        per_second = float(rewards.rate[state]) + float(earned[first]) if tangible else 0.0
-        lines.append(
-            "state %d !%r [%r]%s" % (state, rate or float(tangible), per_second, "".join(labels))
-        )
-        for number, row in enumerate(np.flatnonzero(written[first:last]) + first):
-            lines.append("\taction %d [%r]" % (number, 0.0 if tangible else float(earned[row])))
-            arcs = slice(int(automaton.arcs[row]), int(automaton.arcs[row + 1]))
-            into: Dict[int, float] = {}
-            for target, value in zip(automaton.targets[arcs], automaton.values[arcs]):
-                into[int(target)] = into.get(int(target), 0.0) + float(value) / (rate or 1.0)
-            for target, value in sorted((into or {state: 1.0}).items()):
-                lines.append("\t\t%d : %r" % (target, value))
-    path = Path(folder) / "automaton.drn"
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return stormpy.build_model_from_drn(str(path))

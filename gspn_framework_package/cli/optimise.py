@@ -30,6 +30,8 @@ from gspn_framework_package.formats.plan_json import plan_to_short_json
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
 
+_OWN, _STORM = "own", "storm"
+
 _OPTIONS: Arguments = {
     Argument("net_file", "PLAN"): (
         "a plan file, a folder with a plan.json, or a net whose immediate transitions of weight 0 "
@@ -67,6 +69,10 @@ _READING: Arguments = {
     repeated("--uncertain", "TRANSITION=LOW..HIGH"): (
         "the rate is only known to be in this interval: find the best policy for the worst case; "
         "may be repeated"
+    ),
+    choice("--engine", (_OWN, _STORM), _OWN): (
+        "storm: Storm (pip install stormpy) computes the value, too, as a check (default "
+        "%(default)s)"
     ),
     Argument("--team-sizes", "SIZES"): (
         "the numbers of robots to compute choices for: own, all, N or N..M (default: own, and "
@@ -161,6 +167,7 @@ def optimised(plan: Plan, request: Request, args: argparse.Namespace) -> Report:
             progress=progress,
             cancel=cancel,
             on=executor,
+            storm=args.engine == _STORM,
         ),
         request.limits.memory,
     )

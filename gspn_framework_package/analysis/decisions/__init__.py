@@ -3,5 +3,5 @@ certified bounds, and back to a table in the plan's format.
 
 Modules: ``aims``, ``automaton``, ``building``, ``decision_net``, ``decisions``, ``export``,
 ``grouping``, ``net_choices``, ``optimise``, ``playing``, ``problem``, ``report``, ``rolling``,
-``rollout``, ``safety``, ``solving``, ``who_decides``.
+``rollout``, ``safety``, ``solving``, ``storm``, ``who_decides``.
 """

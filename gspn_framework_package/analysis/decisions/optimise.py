@@ -8,6 +8,7 @@ the policy is improved by simulation instead (:mod:`.rollout`).
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import AbstractSet, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
@@ -27,6 +28,7 @@ from gspn_framework_package.analysis.decisions.report import (
 )
 from gspn_framework_package.analysis.decisions.rollout import improve
 from gspn_framework_package.analysis.decisions.solving import evaluate_policy, sensitivities
+from gspn_framework_package.analysis.decisions.storm import check_storm, storm_value
 from gspn_framework_package.analysis.executors import Executor
 from gspn_framework_package.analysis.simulation.against import compare_plans
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
@@ -49,6 +51,7 @@ def optimise(
     progress: Optional[Progress] = None,
     cancel: Optional[Cancel] = None,
     on: Optional[Executor] = None,
+    storm: bool = False,
 ) -> Report:
     """Compute the best policy of a plan.
 
@@ -61,15 +64,18 @@ def optimise(
     :param progress: called with the progress of long computations.
     :param cancel: called at intervals; returns whether to stop.
     :param on: where to simulate: by default in this process.
-    :raises UsageError: the request does not fit the plan.
+    :param storm: whether Storm computes the value, too, as a check.
+    :raises UsageError: the request does not fit the plan, or Storm.
     :raises RefusedError: there is no answer: the constraints cannot be met, no policy reaches the
         goal, or it is ambiguous who decides.
     :raises CancelledError: ``cancel`` returned true.
     """
     request = request.resolved(plan.net)
+    if storm:
+        check_storm(request)
     subject = plan if request.fitted else plan.nominal()
     try:
-        report = _Exactly(subject, request, progress, cancel).report()
+        report = _Exactly(subject, request, progress, cancel).report(storm)
     except LimitError as error:
         report = _by_rollout(subject, request, error, simulated, seed, progress, cancel, on)
 
@@ -138,7 +144,8 @@ class _Exactly:
     ) -> None:
         self._plan, self._request = plan, request
         self._objective = request.objective
-        self._watch = Watch(progress, cancel, seconds=request.limits.seconds)
+        self._new_watch = partial(Watch, progress, cancel, seconds=request.limits.seconds)
+        self._watch = self._new_watch()
         self._problem = DecisionProblem(
             plan,
             reading=request.reading,
@@ -150,10 +157,9 @@ class _Exactly:
             progress=progress,
             cancel=cancel,
         )
-        watch = Watch(progress, cancel, seconds=request.limits.seconds)
-        self._decisions = Decisions(self._problem, watch, cancel)
+        self._decisions = Decisions(self._problem, self._new_watch(), cancel)
 
-    def report(self) -> Report:
+    def report(self, storm: bool) -> Report:
         """Solve the problem of each team, and report on the policy."""
         request = self._request
         solution = self._decisions.solve(
@@ -204,6 +210,8 @@ class _Exactly:
             ),
         ):
             report.add(what, compute)
+        if storm:  # last, since nothing else should wait for it
+            report.add("the value by Storm", lambda: self._add_storm(report, own))
         return report
 
     def _results(self, solution: Solution) -> List[TeamResult]:
@@ -255,8 +263,18 @@ class _Exactly:
             "one side lets the rates differ from marking to marking" % (100 * gap / scale)
         ]
 
-    # -- additional results
-    # -------------------------------------------------------------------------
+    # -- additional results ------------------------------------------------------------------------
+
+    def _add_storm(self, report: Report, own: TeamSolution) -> None:
+        report.storm = storm_value(
+            own.team.automaton,
+            self._objective.aim,
+            self._objective.maximise,
+            own.rewards,
+            own.goal,
+            self._problem.allowed(own.team),
+            self._new_watch(),
+        )
 
     def _add_price_of_never(self, report: Report, solution: Solution) -> None:
         """The cost of the forbidden conditions."""

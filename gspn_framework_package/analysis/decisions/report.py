@@ -91,6 +91,7 @@ class Report:
     :ivar choices: the choices in markings, at most :data:`MOST_CHOICES`; first those that differ
       between the two policies, the costliest of them first.
     :ivar choices_in_all: how many there are, and ``choices_that_differ`` of them.
+    :ivar storm: the value of the best policy by Storm; None: not asked, or unknown.
     :ivar simulation: old and new plan, simulated as they run: JSON, with ``text`` for people.
     :ivar failures: what failed after the policy was found; ``undecided`` has it in words.
     """
@@ -110,6 +111,7 @@ class Report:
     choices: List[MarkingChoice] = field(default_factory=list)
     choices_in_all: int = 0
     choices_that_differ: int = 0
+    storm: Optional[float] = None
     simulation: Optional[Dict[str, Any]] = None
     failures: List[GspnError] = field(default_factory=list)
 
@@ -180,6 +182,7 @@ class Report:
             ],
             "choices_in_all": self.choices_in_all,
             "choices_that_differ": self.choices_that_differ,
+            "storm": _finite(self.storm),
             "simulation": self.simulation,
             "plan": plan_to_json(self.plan),
         }
@@ -223,6 +226,8 @@ class Report:
             if team.states is not None:
                 text += " (%s states)" % format(team.states, ",")
             lines.append(text)
+        if self.storm is not None:
+            lines.append("by Storm: %.9g%s" % (self.storm, unit))
         return lines
 
     def _differences(self) -> List[str]:

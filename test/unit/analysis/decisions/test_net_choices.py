@@ -64,3 +64,12 @@ def test_without_choices_or_with_unclear_ones_it_is_refused():
 def test_options_for_plans_are_refused(capfd):
     assert main(["optimise", SITES, *REWARDS, "--robots", "2"]) == 2
     assert capfd.readouterr().err.count("\n") == 1
+
+
+def test_storm_computes_the_value_too(capfd):
+    pytest.importorskip("stormpy")
+    words = ["optimise", SITES, "--const", "N=3", *REWARDS, "--json"]
+    assert main([*words, "--engine", "storm"]) == 0
+    assert json.loads(capfd.readouterr().out)["storm"] == pytest.approx(3.5, rel=1e-6)
+    assert main([*words, "--engine", "storm", "--discount", "0.1"]) == 2
+    assert "no discounts" in capfd.readouterr().err

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from gspn_framework_package.analysis.decisions.aims import Aim
 from gspn_framework_package.analysis.decisions.solving import optimum
+from gspn_framework_package.analysis.decisions.storm import automaton_in_drn
 from gspn_framework_package.analysis.graph import longest_levels
 from gspn_framework_package.model.errors import LimitError, RefusedError
 
@@ -19,7 +20,6 @@ stormpy = pytest.importorskip(
     "stormpy", reason="stormpy has no wheel for this Python; it is an oracle of the tests only"
 )
 
-from benchmarks.storm import storm_automaton  # noqa: E402
 
 EXAMPLES = int(os.environ.get("GSPN_STORM_EXAMPLES", "40"))
 relaxed = settings(
@@ -36,7 +36,10 @@ FORMULAS = {
 
 def storms(automaton, rewards, goal, aim, maximise):
     with tempfile.TemporaryDirectory() as folder:
-        model = storm_automaton(automaton, rewards, goal, folder)
+        file = os.path.join(folder, "automaton.drn")
+        with open(file, "w", encoding="utf-8") as output:
+            output.write(automaton_in_drn(automaton, rewards, goal))
+        model = stormpy.build_model_from_drn(file)
     text = FORMULAS[aim] % ("max" if maximise else "min")
     (formula,) = stormpy.parse_properties(text)
     return float(stormpy.model_checking(model, formula).get_value(model.initial_states[0]))
