@@ -224,7 +224,7 @@ TOOLS = {
         "optimise",
         (
             *("robots", *_AIM, "never", "at-least", "may-wait", "timing", "rates", "uncertain"),
-            *("team-sizes", "width", "simulate", "seed", *_INPUT, *_EFFORT),
+            *("team-sizes", "width", "engine", "simulate", "seed", *_INPUT, *_EFFORT),
         ),
         {"plan": _PLAN, "may_wait": _MAY_WAIT, "output": _OUTPUT},
         answer={
@@ -237,6 +237,7 @@ TOOLS = {
             "teams": OBJECTS,
             "constraints": OBJECTS,
             "choices": OBJECTS,
+            "storm?": or_null(NUMBER),
             "simulation?": or_null(OBJECT),
             "plan?": or_null(OBJECT),
             "notes?": NAMES,
