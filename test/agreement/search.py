@@ -541,22 +541,31 @@ class Search:
 
     def replay(self, path: Sequence[Action]) -> List[Optional[Process]]:
         """Take a path again with processes that take every step, and records that have times. New ids
-        of logs are those of the search, which depend on the time of the first process of a kind."""
+        of logs are those of the search, which depend on the time of the first process of a kind.
+
+        In the search, processes are the same whose silences differ by less than half a leap. So one
+        that takes every step may be a tick ahead or behind. The path ends where it does something
+        else than in the search: what the others got afterwards is not what it sent."""
         processes: List[Optional[Process]] = [None] * len(self.hosts)
         searched = [-1] * len(self.hosts)
         actions = [*self._prologue, *path]
-        ids = []
+        outcomes = []
         for action in actions:
-            number = searched[action.node] = self._outcome(searched[action.node], action).process
-            ids.append(self.processes[number].log_id)
+            outcomes.append(self._outcome(searched[action.node], action))
+            searched[action.node] = outcomes[-1].process
         try:
-            for number, (action, log_id) in enumerate(zip(actions, ids)):
+            for number, (action, outcome) in enumerate(zip(actions, outcomes)):
                 for host in self.hosts:
                     host.mono = number
+                log_id = self.processes[outcome.process].log_id
                 renew = partialmethod(_renew_log_id, log_id)
                 with mock.patch.object(Membership, "_renew_log_id", renew):
-                    process = self.play(processes[action.node], action).process
-                processes[action.node] = process
+                    step = self.play(processes[action.node], action)
+                processes[action.node] = step.process
+                sent = {self._addressed_to(action, to, text) for to, text in step.sent}
+                known = {m for n, m in enumerate(self.messages) if outcome.sent >> n & 1}
+                if (sent, step.slots) != (known, outcome.slots):
+                    break
         finally:
             for host in self.hosts:
                 host.mono = None
