@@ -297,7 +297,7 @@ class DecisionProblem:
                 robots += space.column(self._net.place_of[self.plan.net.place_number(name)])
         else:
             robots[:] = own
-        found = sorted(set(np.unique(robots).tolist()) - {0}, reverse=True)
+        found = sorted(set(np.unique(robots).tolist()) - {0}, reverse=True) or [own]
         wanted = [n for n in found if sizes is None or n in sizes]
         if own in wanted:
             wanted.remove(own)

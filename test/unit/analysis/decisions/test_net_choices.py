@@ -16,7 +16,9 @@ SITES = str(Path(__file__).parents[2] / "formats" / "data" / "sites.PNPRO")
 REWARDS = ["--reward", "done_near=1", "--reward", "done_far=3"]
 
 
-@pytest.mark.parametrize("robots, far, best", [(1, 0.5, 2.0), (1, 1.0, 3.0), (3, 0.5, 3.5)])
+@pytest.mark.parametrize(
+    "robots, far, best", [(0, 1.0, 0.0), (1, 0.5, 2.0), (1, 1.0, 3.0), (3, 0.5, 3.5)]
+)
 def test_a_net_with_constants_is_optimised_and_written(tmp_path, capfd, robots, far, best):
     """The near site gives 2 a second; the far one, for one robot at a time, three times its rate."""
     written = str(tmp_path / "best.json")
@@ -32,9 +34,9 @@ def test_a_net_with_constants_is_optimised_and_written(tmp_path, capfd, robots, 
 
 def test_what_has_a_weight_is_drawn():
     """A choice between a sure way (1/s, worth 1) and a draw: worth 4 with probability 1/4."""
-    builder = NetBuilder().place("home", tokens=1)
+    builder = NetBuilder().place("home")  # the choice comes later
     for name in ("sure", "bet", "won", "lost"):
-        builder.place(name)
+        builder.place(name, tokens=int(name == "sure"))
         if name != "bet":
             builder.exponential(name + "_end", rate=1.0, inputs=name, outputs="home")
     builder.immediate("take", weight=0, inputs="home", outputs="sure")
