@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from typing import Any, Dict, List, Optional, Tuple
+from typing import List, Optional, Tuple
 
 from gspn_framework_package.analysis.decisions.aims import AIM_WIDTH, NARROWEST, AtLeast, Request
 from gspn_framework_package.analysis.decisions.net_choices import plan_of_choices
@@ -25,7 +25,7 @@ from gspn_framework_package.cli.net_input import (
 )
 from gspn_framework_package.cli.options import Argument, Arguments, add_options, choice, repeated
 from gspn_framework_package.cli.plan_output import plan_path, refuse_existing, write_plan
-from gspn_framework_package.formats.plan_file import is_plan, plan_document
+from gspn_framework_package.formats.plan_file import plan_document
 from gspn_framework_package.formats.plan_json import plan_to_short_json
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan
@@ -126,7 +126,11 @@ def run(args: argparse.Namespace) -> int:
     notes: List[str] = []
     try:
         if path is not None:
-            data = _document(args, report.plan, os.path.dirname(os.path.abspath(path)))
+            folder = os.path.dirname(os.path.abspath(path))
+            if plan.file is None:  # a net
+                data = plan_to_short_json(report.plan)
+            else:
+                data = plan_document(args.net_file, report.plan, folder)
             notes = write_plan(report.plan, data, args.output)
     finally:  # the answer is printed even if it cannot be written
         if args.json:
@@ -146,13 +150,6 @@ def _subject(args: argparse.Namespace) -> Tuple[Plan, List[str]]:
         raise UsageError("--robots, --team-sizes and --rates are for plans; this is a net")
     args.timing, args.simulate = NET, 0.0
     return plan_of_choices(subject), notes
-
-
-def _document(args: argparse.Namespace, plan: Plan, folder: str) -> Dict[str, Any]:
-    """The JSON object of the plan with the policy, to be written in a folder."""
-    if args.source_format is None and is_plan(args.net_file):
-        return plan_document(args.net_file, plan, folder)
-    return plan_to_short_json(plan)
 
 
 def optimised(plan: Plan, request: Request, args: argparse.Namespace) -> Report:

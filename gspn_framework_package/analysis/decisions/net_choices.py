@@ -17,7 +17,7 @@ def plan_of_choices(net: Net) -> Plan:
 
     :raises RefusedError: nothing is controllable, or a controllable transition has no such place.
     """
-    left = {t for t, it in enumerate(net.transitions) if not it.timed and it.is_controllable}
+    left = {t for t, it in enumerate(net.transitions) if it.is_controllable}
     if not left:
         raise RefusedError(
             "the net has no choice: no immediate transition has the weight 0",

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Dict, List, Optional
@@ -22,12 +23,13 @@ from gspn_framework_package.analysis.decisions.automaton import Automaton, Rewar
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import RefusedError, UsageError, how_to_install
 
-_FORMULAS = {
+FORMULAS = {
     Aim.LONG_RUN: 'R{"earned"}%s=? [LRA]',
     Aim.TIME_TO: 'T%s=? [F "goal"]',
     Aim.COST_TO: 'R{"earned"}%s=? [F "goal"]',
     Aim.REACH: 'P%s=? [F "goal"]',
 }
+"""What Storm is asked for each aim, to maximise or minimise (``max``, ``min``)."""
 
 _WORKER = """
 import sys, stormpy
@@ -45,7 +47,7 @@ def check_storm(request: Request) -> None:
     """
     if find_spec("stormpy") is None:
         raise UsageError("Storm is not there", hint=how_to_install("stormpy"))
-    if request.objective.aim not in _FORMULAS or request.at_least or request.uncertain:
+    if request.objective.aim not in FORMULAS or request.at_least or request.uncertain:
         raise UsageError("Storm computes no discounts, --at-least or --uncertain: use --engine own")
 
 
@@ -64,7 +66,7 @@ def storm_value(
     :raises RefusedError: Storm ends with an error.
     :raises CancelledError, LimitError: the watch ended the work.
     """
-    formula = _FORMULAS[aim] % ("max" if maximise else "min")
+    formula = FORMULAS[aim] % ("max" if maximise else "min")
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "automaton.drn")
         file.write_text(automaton_in_drn(automaton, rewards, goal, allowed), encoding="utf-8")
@@ -76,12 +78,13 @@ def storm_value(
             universal_newlines=True,
         ) as process:
             try:
-                while process.poll() is None:
+                output = None
+                while output is None:
                     watch.step("seconds of Storm", int(time.monotonic() - begin))
-                    time.sleep(0.02)
+                    with suppress(subprocess.TimeoutExpired):
+                        output, errors = process.communicate(timeout=0.2)
             finally:
                 process.kill()
-            output, errors = process.communicate()
     try:
         return float(output.split()[-1])
     except (IndexError, ValueError):

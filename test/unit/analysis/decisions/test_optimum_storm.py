@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from gspn_framework_package.analysis.decisions.aims import Aim
 from gspn_framework_package.analysis.decisions.solving import optimum
-from gspn_framework_package.analysis.decisions.storm import automaton_in_drn
+from gspn_framework_package.analysis.decisions.storm import FORMULAS, automaton_in_drn
 from gspn_framework_package.analysis.graph import longest_levels
 from gspn_framework_package.model.errors import LimitError, RefusedError
 
@@ -25,13 +25,6 @@ EXAMPLES = int(os.environ.get("GSPN_STORM_EXAMPLES", "40"))
 relaxed = settings(
     max_examples=EXAMPLES, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck)
 )
-
-FORMULAS = {
-    Aim.LONG_RUN: 'R{"earned"}%s=? [LRA]',
-    Aim.TIME_TO: 'T%s=? [F "goal"]',
-    Aim.COST_TO: 'R{"earned"}%s=? [F "goal"]',
-    Aim.REACH: 'P%s=? [F "goal"]',
-}
 
 
 def storms(automaton, rewards, goal, aim, maximise):
