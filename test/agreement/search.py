@@ -263,10 +263,8 @@ class Search:
             if process.halted:
                 continue
             messages = team.sent & self._addressed[node] & ~self._idle.get(number, 0)
-            while messages:
-                bit = messages & -messages
-                messages ^= bit
-                yield Action("take", node, bit.bit_length() - 1)
+            for message in _numbers(messages):
+                yield Action("take", node, message)
             if ticks:
                 yield Action("tick", node)
             if process.running and process.length < scope.slots:
@@ -563,7 +561,7 @@ class Search:
                     step = self.play(processes[action.node], action)
                 processes[action.node] = step.process
                 sent = {self._addressed_to(action, to, text) for to, text in step.sent}
-                known = {m for n, m in enumerate(self.messages) if outcome.sent >> n & 1}
+                known = {self.messages[n] for n in _numbers(outcome.sent)}
                 if (sent, step.slots) != (known, outcome.slots):
                     break
         finally:
@@ -597,6 +595,14 @@ class Search:
 
 def _renew_log_id(part: Membership, log_id: str) -> None:
     part.state.log_id = log_id
+
+
+def _numbers(bits: int) -> Iterator[int]:
+    """The numbers of the bits that are set."""
+    while bits:
+        bit = bits & -bits
+        bits ^= bit
+        yield bit.bit_length() - 1
 
 
 def _draw(source: random.Random, lane: Tuple[str, int, int]) -> float:
