@@ -185,14 +185,18 @@ export class Canvas extends EventTarget {
     );
   }
 
-  /** The title of the group in which a node is, or whose box is at a point of the drawing; undefined: none. */
-  groupOf(node, [x, y] = []) {
-    for (const [title, nodes] of this.groups) {
+  /** The title of the group in which a node is; undefined: none. */
+  groupOf(node) {
+    return [...this.groups].find(([, nodes]) => nodes.includes(node))?.[0];
+  }
+
+  /** The title of the group whose box is at a point of the drawing; undefined: none. */
+  groupAt([x, y]) {
+    const found = [...this.groups].find(([title, nodes]) => {
       const [left, top, right, bottom] = boxOf(nodes, title);
-      if (node ? nodes.includes(node) : left < x && x < right && top < y && y < bottom)
-        return title;
-    }
-    return undefined;
+      return left < x && x < right && top < y && y < bottom;
+    });
+    return found?.[0];
   }
 
   /** What "group:TITLE" stands for, the keys of its nodes; any other key stands for itself. */

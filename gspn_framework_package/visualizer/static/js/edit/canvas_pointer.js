@@ -152,7 +152,7 @@ export class CanvasPointer extends Pointer {
     const handle = event.target.closest("[data-handle]");
     const node = handle ? this.handled : this.nodeAt(point);
     const arc = node ? null : this.arcAt(point);
-    const group = arc ? undefined : view.groupOf(node, point);
+    const group = node ? view.groupOf(node) : arc ? undefined : view.groupAt(point);
     // a finger moves what a tap has selected; otherwise, the view
     const touches = event.pointerType === "touch" && !(node && mode.selection.has(node.key));
     const looks = event.button === 1 || mode.panning || touches;
