@@ -78,7 +78,7 @@ SECONDS = 1.0
 """What ``--seconds`` is cut to, and what a computed policy is simulated for (else 5 s)."""
 
 PREDICTED = 20
-"""How many runs a comparison simulates where its document does not say (else as many as it needs)."""
+"""How many runs are simulated where the document says 100 or more, or, of a comparison, nothing (as many as it needs)."""
 
 QUOTED = re.compile(r"'[^']*'")
 FOR_A_SHELL = re.compile(r"[|&;<>()$`*?~{\\]")
@@ -200,6 +200,7 @@ def _try_gspn(command: Command, words: list, sandbox: Path, capfd: pytest.Captur
 
 def _shorter(command: Command) -> str:
     line = re.sub(r"(?<=--seconds[= ])[0-9.]+", "%g" % SECONDS, command.line)
+    line = re.sub(r"(?<= --replications )[0-9]{3,}", str(PREDICTED), line)
     line = re.sub(
         r" compare (?!.*--rep(?:lay|lications))", r"\g<0>--replications %d " % PREDICTED, line
     )
