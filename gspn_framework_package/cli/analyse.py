@@ -15,6 +15,7 @@ from typing import Any, Dict, Iterable, Iterator, List, Tuple, Union
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.on_disk.answers import report_within
+from gspn_framework_package.analysis.phasing import add_intervals, phases_for
 from gspn_framework_package.analysis.plan.reading import READINGS
 from gspn_framework_package.analysis.report import (
     Questions,
@@ -84,6 +85,10 @@ _QUESTIONS: Arguments = {
 _EFFORT: Arguments = {
     **LIMIT_OPTIONS,
     **MEMORY_OPTIONS,
+    Argument("--phases", "N", int): (
+        "at most N exponential phases for each duration of a plan (default: as many as make about "
+        "100,000 states); docs/analysis.md"
+    ),
     choice("--engine", ENGINES, "auto"): "the engine that explores (default: auto)",
     "--symbolic": (
         "count the markings of a net without visiting them: their number, largest counts, dead "
@@ -147,6 +152,7 @@ def _run(args: argparse.Namespace) -> int:
                 structure=questions.structure,
                 engine=args.engine,
                 lump=lump,
+                phases=phases_for(args.phases, limits.states),
                 progress=progress,
                 cancel=cancel,
             )
@@ -154,6 +160,7 @@ def _run(args: argparse.Namespace) -> int:
         if memory is None or isinstance(subject, Plan):
             analysis = make(limits)
             data = report(analysis, questions)
+            add_intervals(analysis, data, questions)
         else:
             analysis, data = report_within(
                 memory.size,
@@ -206,6 +213,8 @@ def _questions(args: argparse.Namespace, subject: Union[Net, Plan]) -> Questions
     if any(not (t >= 0 and math.isfinite(t)) for t in questions.at):
         raise UsageError("--at: a time must be a number of seconds, at least 0")
     questions.check(subject.net if isinstance(subject, Plan) else subject)
+    if args.phases is not None and (args.phases < 1 or not isinstance(subject, Plan)):
+        raise UsageError("--phases: give a plan, and at least one phase")
     if args.query:
         _check_queries(args, questions)
     if args.symbolic:
@@ -238,7 +247,7 @@ def _check_queries(args: argparse.Namespace, questions: Questions) -> None:
             "--query answers queries, and no other questions",
             hint="leave out --query, or the questions",
         )
-    for option in ("csv", "lump", "memory", "symbolic"):
+    for option in ("csv", "lump", "memory", "symbolic", "phases"):
         if getattr(args, option):
             raise UsageError("--query and --%s exclude each other" % option)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from decimal import Decimal
+from itertools import zip_longest
 from typing import Any, Dict, Iterator, List, Mapping, Optional, Sequence
 
 from gspn_framework_package.analysis.plan.reading import RUN
@@ -34,21 +35,32 @@ def analysis_text(data: Mapping[str, Any]) -> Iterator[str]:
         yield from _reach_text(entry, "reachable")
     for entry in data.get("cover") or ():
         yield from _reach_text(entry, "coverable")
+    spans = data.get("intervals") or {}
     if data.get("steady_state"):
-        yield from _steady_text(data["steady_state"])
+        yield from _steady_text(data["steady_state"], spans.get("steady_state", {}))
     yield from _titled_text(data, Part.TIMING)
     if data.get("time_to_steady_state") is not None:
         yield "time to steady state: %s s" % _number(data["time_to_steady_state"])
-    for entry in data.get("transient") or ():
-        yield "at %g s: mean tokens %s" % (entry["time"], _map(entry["mean_tokens"]))
-        yield "    throughput (1/s) %s" % _map(entry["throughput"])
-    for entry in data.get("mean_time_to") or ():
+    for entry, span in zip_longest(data.get("transient") or (), spans.get("transient", ())):
+        of = span or {}
+        tokens = _map(entry["mean_tokens"], of.get("mean_tokens"))
+        yield "at %g s: mean tokens %s" % (entry["time"], tokens)
+        yield "    throughput (1/s) %s" % _map(entry["throughput"], of.get("throughput"))
+    for entry, span in zip_longest(data.get("mean_time_to") or (), spans.get("mean_time_to", ())):
         if entry:
-            found = entry["condition"], _number(entry["mean_time"]), _number(entry["probability"])
-            yield "mean time to %s: %s s, probability %s" % found
-            for within in entry["within"]:
-                chance = _number(within["probability"])
+            of = span or {}
+            mean, chance = (
+                _number(entry[key]) + _within(of.get(key)) for key in ("mean_time", "probability")
+            )
+            yield "mean time to %s: %s s, probability %s" % (entry["condition"], mean, chance)
+            for within, ends in zip_longest(entry["within"], of.get("within", ())):
+                chance = _number(within["probability"]) + _within(ends)
                 yield "    within %g s with probability %s" % (within["time"], chance)
+    if spans:
+        yield (
+            "in brackets: what the answers would be within if durations were not replaced "
+            "(estimated; --phases N)"
+        )
     yield from _undecided_text(data)
 
 
@@ -57,7 +69,7 @@ def _titled_text(data: Mapping[str, Any], part: Part) -> Iterator[str]:
     for key, title in titled(data, part):
         value = data[key]
         if isinstance(value, dict):
-            yield "%s: %s" % (title, _map(value))
+            yield "%s: %s" % (title, _map(value, (data.get("intervals") or {}).get(key)))
         elif isinstance(value, list):
             yield "%s: %s" % (title, _some([str(entry) for entry in value]) or "none")
         elif value is None or isinstance(value, bool):
@@ -211,7 +223,7 @@ def _reach_text(entry: Any, word: str) -> Iterator[str]:
         yield "%s: %s %s%s" % (entry["condition"], word, _answer(entry[word]), way)
 
 
-def _steady_text(steady: Mapping[str, Any]) -> Iterator[str]:
+def _steady_text(steady: Mapping[str, Any], spans: Mapping[str, Any]) -> Iterator[str]:
     yield "steady state (%s, residual %.1e):" % (steady["method"], steady["residual"])
     if steady["component_count"] != 1:
         for part in steady["components"]:
@@ -242,10 +254,13 @@ def _steady_text(steady: Mapping[str, Any]) -> Iterator[str]:
     yield "    %-32s %14s %14s" % ("place", "mean tokens", "mean wait (s)")
     for place, mean in steady["mean_tokens"].items():
         wait = steady["mean_waiting_time"][place]
-        yield "    %-32s %14s %14s" % (place, _number(mean), _number(wait))
+        both = [spans.get(key, {}).get(place) for key in ("mean_tokens", "mean_waiting_time")]
+        within = "".join(map(_within, both))
+        yield "    %-32s %14s %14s%s" % (place, _number(mean), _number(wait), within)
     yield "    %-32s %14s" % ("transition", "throughput 1/s")
     for transition, value in steady["throughput"].items():
-        yield "    %-32s %14s" % (transition, _number(value))
+        within = _within(spans.get("throughput", {}).get(transition))
+        yield "    %-32s %14s%s" % (transition, _number(value), within)
     for measure, errors in steady.get("unsure", {}).items():
         for name, error in errors.items():
             yield "    unsure: %s of %s, by about %.0e of the value" % (
@@ -254,7 +269,10 @@ def _steady_text(steady: Mapping[str, Any]) -> Iterator[str]:
                 error if isinstance(error, float) else math.inf,
             )
     if "reward" in steady:
-        yield "    reward per second: %s" % _number(steady["reward"])
+        yield "    reward per second: %s%s" % (
+            _number(steady["reward"]),
+            _within(spans.get("reward")),
+        )
 
 
 def _answer(value: Any) -> str:
@@ -267,8 +285,16 @@ def _number(value: Any) -> str:
     return value if isinstance(value, str) else "%.8g" % value
 
 
-def _map(values: Mapping[str, Any]) -> str:
-    shown = ["%s %s" % (name, _number(v)) for name, v in list(values.items())[:_SHOWN]]
+def _within(span: Optional[Sequence[float]]) -> str:
+    """The ends of an interval, after a number; empty if it has none."""
+    return " (%.6g to %.6g)" % tuple(span) if span else ""
+
+
+def _map(values: Mapping[str, Any], spans: Optional[Mapping[str, Any]] = None) -> str:
+    shown = [
+        "%s %s%s" % (name, _number(v), _within((spans or {}).get(name)))
+        for name, v in list(values.items())[:_SHOWN]
+    ]
     return ", ".join(shown) + (", ... (%d in all)" % len(values) if len(values) > _SHOWN else "")
 
 

@@ -29,7 +29,8 @@ import itertools
 import math
 from collections import Counter
 from dataclasses import replace
-from typing import Dict, List, Optional, Sequence, Tuple
+from types import MappingProxyType
+from typing import Dict, List, Mapping, Optional, Sequence, Tuple
 
 from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.model.failure import FailureEnd
@@ -58,7 +59,6 @@ from gspn_framework_package.run_net.phases import (
     MOST_PHASES,
     number_of_phases,
     phases_of,
-    single_phase,
 )
 from gspn_framework_package.run_net.requests import PolicyDraws
 from gspn_framework_package.run_net.run_net import RunNet
@@ -80,7 +80,7 @@ def compile_plan(
     plan: Plan,
     timing: Optional[PlanTiming],
     *,
-    phases: bool = True,
+    phases: Mapping[str, float] = MappingProxyType({}),
     exponential: bool = False,
     left_out: Optional[Sequence[str]] = None,
 ) -> RunNet:
@@ -88,8 +88,8 @@ def compile_plan(
 
     :param plan: a validated plan.
     :param timing: its durations and outcomes; None: the classical reading.
-    :param phases: whether durations get their phases. If not, each is exponential with its mean:
-        the same markings are reached in far fewer states.
+    :param phases: place -> the most phases of each duration there. With one for each, the same
+        markings are reached in far fewer states.
     :param exponential: whether each duration is exponential with its mean, so that no place is
         split for its duration alone; whether an attempt fails still follows from the true one.
     :param left_out: resource places that nothing reads; None: all of them.
@@ -104,9 +104,13 @@ def compile_plan(
 
 class _Compiler:
     def __init__(
-        self, rules: PlanRules, splits: Dict[str, str], phases: bool, exponential: bool
+        self,
+        rules: PlanRules,
+        splits: Dict[str, str],
+        phases: Mapping[str, float],
+        exponential: bool,
     ) -> None:
-        self._rules, self._exponential = rules, exponential
+        self._rules, self._exponential, self._phases = rules, exponential, phases
         self._net = net = rules.net
         self._assumptions: List[str] = []
         self._timing = {p: self._of_team(p) for p in rules.visits[0]}
@@ -125,7 +129,7 @@ class _Compiler:
         self._racing: List[Racing] = []
         self._parts: List[Tuple[int, int]] = []
         self._stopped = -1
-        self._lay_out(phases and not exponential)
+        self._lay_out()
         self._splits: Dict[str, str] = {}
         for p in self._columns:
             name = net.places[p].name
@@ -247,7 +251,7 @@ class _Compiler:
         still doing."""
         return any(q in self._late and (q != p or w > 1) for q, w in self._rules.robots_of[t])
 
-    def _lay_out(self, with_phases: bool) -> None:
+    def _lay_out(self) -> None:
         width = 0
         if any(map(self._stops, self._timing)):
             self._stopped, width = 0, 1
@@ -263,10 +267,10 @@ class _Compiler:
                 self._racing.append(Racing(width, rates))
                 width += 1
             else:
-                self._columns[p], width = self._split(p, width, with_phases)
+                self._columns[p], width = self._split(p, width)
             self._parts.append((first, width))
 
-    def _split(self, p: int, first: int, with_phases: bool) -> Tuple[PlaceColumns, int]:
+    def _split(self, p: int, first: int) -> Tuple[PlaceColumns, int]:
         """The columns of place ``p``, from column ``first`` on, and the column after them."""
         outcomes = self._outcomes(p) if self._net.consumers[p] else ()
         numbers = itertools.count(first)
@@ -275,14 +279,14 @@ class _Compiler:
         exits: List[List[int]] = []  # of each attempt: the columns in which it ends
         attempts: List[TimedAttempt] = []
         arriving: List[int] = []
+        most = 1 if self._exponential else self._phases.get(self._net.places[p].name, MOST_PHASES)
         for duration, what in tries:
             if duration.mean == 0:
                 arriving.append(next(numbers))
                 entries.append(((arriving[-1], 1.0),))
                 exits.append([arriving[-1]])
                 continue
-            phases = phases_of(duration) if with_phases else single_phase(duration)
-            assert phases is not None  # the caller has asked
+            phases = phases_of(duration, most)
             doing = tuple(next(numbers) for _ in phases.rates)
             following = tuple(f if f < 0 else doing[f] for f in phases.following)
             attempts.append(TimedAttempt(doing, phases.rates, following, duration, what))

@@ -9,12 +9,15 @@ variation c (variance / mean^2):
   appendix B);
 * c > 1: one of two exponentials, balanced so that both contribute half of the mean (ibid.);
 * c = 0: no number of phases is enough.
+
+Where that would take more phases than wanted, only the mean is the same, and c as near as so many
+phases can come.
 """
 
 from __future__ import annotations
 
 import math
-from typing import List, NamedTuple, Optional, Tuple
+from typing import List, NamedTuple, Tuple
 
 from gspn_framework_package.model.duration import Duration
 
@@ -39,12 +42,39 @@ class Phases(NamedTuple):
     following: Tuple[int, ...]
     matched: str = ""
 
+    @property
+    def duration(self) -> Duration:
+        """The distribution of the time that they take."""
+        branches = []
+        for first, probability in self.start:
+            count, phase = 1, first
+            while self.following[phase] >= 0:
+                count, phase = count + 1, self.following[phase]
+            branches.append((probability, count, count / self.rates[first]))
+        return Duration.hyper_erlang(branches)
 
-def number_of_phases(duration: Duration) -> float:
-    """Number of phases that the duration needs; infinite if it never varies."""
+    def distance(self, duration: Duration) -> float:
+        """The largest difference between the probability that they end within a time, and that of
+        ``duration``, over all times (Kolmogorov)."""
+        import numpy as np
+
+        used = self.duration
+        levels = np.linspace(0.0, 1.0, 1001)[1:-1]
+        times = np.concatenate([duration.quantile(levels), used.quantile(levels)])
+        times = np.concatenate([times, np.nextafter(times, 0.0)])  # on both sides of a jump
+        return float(np.abs(duration.cdf(times) - used.cdf(times)).max())
+
+
+def number_of_phases(duration: Duration, most: float = math.inf) -> float:
+    """Number of phases that the duration needs; infinite if it never varies.
+
+    :param most: see :func:`phases_of`.
+    """
     if duration.branches is not None:
-        return sum(branch.phases for branch in duration.branches)
-    c = _squared_variation(duration)
+        count = sum(branch.phases for branch in duration.branches)
+        if count <= most:
+            return count
+    c = _squared_variation(duration, most)
     if c <= 0:
         return math.inf
     if abs(c - 1) <= _EXPONENTIAL:
@@ -52,12 +82,14 @@ def number_of_phases(duration: Duration) -> float:
     return 2 if c > 1 else math.ceil(1 / c - _EXPONENTIAL)
 
 
-def phases_of(duration: Duration) -> Optional[Phases]:
-    """The phases of a duration; None if none exist, or more than :data:`MOST_PHASES` are needed."""
-    count = number_of_phases(duration)
-    if count > MOST_PHASES:
-        return None
-    if duration.branches is not None:
+def phases_of(duration: Duration, most: float = MOST_PHASES) -> Phases:
+    """The phases of a duration.
+
+    :param most: the most phases, where two exponential ones count as the inverse of their squared
+        variation: with 1/2, the time varies as much as two exponential ones with c = 2.
+    """
+    exact = duration.branches is not None and number_of_phases(duration) <= most
+    if duration.branches is not None and exact:
         start: List[Tuple[int, float]] = []
         rates: List[float] = []
         following: List[int] = []
@@ -68,16 +100,12 @@ def phases_of(duration: Duration) -> Optional[Phases]:
             rates += [branch.rate] * branch.phases
             following += [*range(first + 1, first + branch.phases), -1]
         return Phases(tuple(start), tuple(rates), tuple(following))
-    return _matched(duration.mean, _squared_variation(duration))
+    return _matched(duration.mean, _squared_variation(duration, most))
 
 
-def single_phase(duration: Duration) -> Phases:
-    """One exponential phase of the same mean."""
-    return Phases(((0, 1.0),), (1.0 / duration.mean,), (-1,))
-
-
-def _squared_variation(duration: Duration) -> float:
-    return duration.variance / duration.mean**2
+def _squared_variation(duration: Duration, most: float) -> float:
+    c = duration.variance / duration.mean**2
+    return 1.0 if most == 1 else max(c, 1.0 / most)
 
 
 def _matched(mean: float, c: float) -> Phases:

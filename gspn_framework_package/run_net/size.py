@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import Dict, List, Sequence, Tuple
+from types import MappingProxyType
+from typing import Dict, List, Mapping, Sequence, Tuple
+
+import numpy as np
 
 from gspn_framework_package.run_net.columns import TimedAttempt
 from gspn_framework_package.run_net.phases import MOST_PHASES, number_of_phases, phases_of
 from gspn_framework_package.run_net.run_net import RunNet, State
+
+_MATTERS, _NEGLIGIBLE = 1e-2, 1e-4
+"""What is wrong with phases by less than this needs no more, if others do, or at all: robots, or
+share of the longest mean time, times the difference of the coefficients of variation."""
+
+_ENOUGH = 28
+"""So many phases at most, if they are chosen: more change little, and take long to solve."""
 
 
 class PhasesOfDurations:
@@ -30,30 +40,115 @@ class PhasesOfDurations:
         """The largest number of phases of a duration."""
         return max((k for _, _, k in self._many), default=1)
 
-    def matches(self) -> List[str]:
-        """With what durations that are not made of phases are replaced: sentences for people."""
+    def matches(self, most: Mapping[str, float] = MappingProxyType({})) -> List[str]:
+        """With what durations are replaced that have other phases: sentences for people.
+
+        :param most: place -> the most phases of each duration there.
+        """
         found = []
-        for p, attempt, _ in self._many:
-            phases = phases_of(attempt.duration)
-            if attempt.duration.branches is None and phases is not None:
+        for p, attempt, count in self._many:
+            name = self._run_net.net.places[p].name
+            phases = phases_of(attempt.duration, most.get(name, MOST_PHASES))
+            if attempt.duration.branches is None or len(phases.rates) < count:
+                before, now = attempt.duration.variation, phases.duration.variation
+                alike = abs(now - before) <= 1e-6 * before
                 found.append(
-                    "the duration of %s (%s) was replaced by phases of the same mean and variance: "
-                    "%s" % (self._run_net.net.places[p].name, attempt.what, phases.matched)
+                    "the duration of %s (%s) was replaced by phases of the same mean%s: %s; their "
+                    "distributions differ by up to %.2g"
+                    % (
+                        name,
+                        attempt.what,
+                        " and variance" if alike else "",
+                        phases.matched
+                        + ("" if alike else ", variation %.3g instead of %.3g" % (now, before)),
+                        phases.distance(attempt.duration),
+                    )
                 )
         return list(dict.fromkeys(found))
 
-    def states(self, states: Sequence[State]) -> float:
+    def states(
+        self, states: Sequence[State], most: Mapping[str, float] = MappingProxyType({})
+    ) -> float:
         """How many states there would be if durations had their phases: each of ``states``, found
-        with one phase for each, as often as its robots can be spread over the phases."""
-        many = [(attempt.columns[0], k) for _, attempt, k in self._many]
-        total = 0.0
-        known: Dict[Tuple[int, ...], float] = {}
-        for state in states:
-            doing = tuple([state[column] for column, _ in many]) if state else ()
-            if doing not in known:
-                known[doing] = math.prod([_spreadings(n, k) for n, (_, k) in zip(doing, many)])
-            total += known[doing]
-        return total
+        with one phase for each, as often as its robots can be spread over the phases.
+
+        :param most: place -> the most phases of each duration there.
+        """
+        doing, times = np.unique(self._doing(states), axis=0, return_counts=True)
+        total = times.astype(np.float64)
+        for robots, (p, (*_, duration, _), _) in zip(doing.T, self._many):
+            k = number_of_phases(duration, most.get(self._run_net.net.places[p].name, math.inf))
+            total *= np.array([_spreadings(n, k) for n in range(robots.max() + 1)])[robots]
+        return float(total.sum())
+
+    def _doing(self, states: Sequence[State]) -> np.ndarray:
+        """The number of robots in each of the durations, a row for each state."""
+        columns = [attempt.columns[0] for _, attempt, _ in self._many]
+        rows = [[state[c] for c in columns] if state else [0] * len(columns) for state in states]
+        return np.array(rows, dtype=np.int64)
+
+    def chosen(self, states: Sequence[State], shares: np.ndarray, limit: float) -> Dict[str, int]:
+        """As many phases for the durations of each place as make about ``limit`` states: equally
+        many where robots spend time that varies otherwise than that of so many phases, and then
+        more where they spend more.
+
+        :param states: those with one phase for each duration.
+        :param shares: of each, the share of time; all 0: not known.
+        :return: place -> the most phases of each duration there.
+        """
+        spent = shares @ self._doing(states)
+        names = [self._run_net.net.places[p].name for p, _, _ in self._many]
+        longest = max(visit.duration.mean for visit in self._run_net.timing.values())
+        most = dict.fromkeys(names, 1)
+
+        def wrong(place: str) -> Tuple[float, float]:
+            """What is wrong with the phases in a place: by the robots there, and by mean time."""
+            by_robots = by_mean = 0.0
+            for name, robots, (_, (*_, duration, _), _) in zip(names, spent, self._many):
+                if name == place:
+                    used = phases_of(duration, most[place]).duration
+                    gap = abs(used.variation - duration.variation)
+                    by_robots += robots * gap
+                    by_mean += duration.mean / longest * gap
+            return by_robots, by_mean
+
+        def urgency(place: str) -> Tuple[bool, int, Tuple[float, float]]:
+            error = wrong(place)
+            return max(error) > _MATTERS, -most[place], error
+
+        left = set(most)
+        while left:
+            place = max(sorted(left), key=urgency)
+            more = {**most, place: most[place] + max(most[place] // 2, 1)}
+            needs = max(k for name, (_, _, k) in zip(names, self._many) if name == place)
+            if (
+                most[place] < needs
+                and more[place] <= _ENOUGH
+                and max(wrong(place)) > _NEGLIGIBLE
+                and self.states(states, more) <= limit
+            ):
+                most = more
+            else:
+                left.remove(place)
+        return most
+
+    def fewer(self, most: Mapping[str, float]) -> Dict[str, float]:
+        """The same with half as many phases, so that the squared variation is doubled, for the
+        durations that it does not represent exactly; empty if there are none. Those with one phase
+        vary twice as much, or as they do if that is more: more variation changes less and less."""
+        found: Dict[str, float] = {}
+        for p, (*_, duration, _), count in self._many:
+            name = self._run_net.net.places[p].name
+            allowed = most.get(name, MOST_PHASES)
+            if duration.branches is not None and allowed >= count:
+                continue
+            c = duration.variation**2
+            if allowed <= 1:
+                half = 1 / max(2.0 * c, 4.0)
+            else:
+                half = 1.0 if c > 1 else 0.5 / phases_of(duration, allowed).duration.variation ** 2
+            found[name] = min(found.get(name, math.inf), half)
+        return {**most, **found} if found else {}
 
     def where_most(self, most: Sequence[int]) -> str:
         """Where the largest number of states comes from, for people; empty if from no place.

@@ -30,7 +30,7 @@ def run_net_of(plan: Plan, reading: str = RUN) -> Tuple[LiteralNet, List[str]]:
     timing = None if checked_reading(reading) == NET else PlanTiming(plan)
     if timing is not None and timing.differing:
         raise RefusedError(timing.differing, element="the run net of '%s'" % plan.name)
-    run_net = compile_plan(plan, timing, phases=False)
+    run_net = compile_plan(plan, timing, phases=dict.fromkeys(plan.action_places, 1))
     if timing is None:
         notes = net_notes(plan).assumptions
     else:

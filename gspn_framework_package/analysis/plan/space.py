@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Dict, List, Optional, Tuple
+from typing import Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -55,6 +55,8 @@ class PlanSpace(StateSpace):
       one.
     :ivar most: the largest number of tokens in each place.
     :ivar where_most: if it is not complete, the place that makes it large, in words for people.
+    :ivar fewer_phases: place -> fewer phases of each duration there, where durations are not
+      represented exactly; empty if all are.
     """
 
     def __init__(
@@ -81,6 +83,7 @@ class PlanSpace(StateSpace):
         self.notes = notes
         self.refusal = ""
         self.where_most = ""
+        self.fewer_phases: Mapping[str, float] = {}
         self._parts, self._part_counts = parts, part_counts
         self._vanishing = vanishing
         self._values = values
@@ -155,10 +158,16 @@ class PlanSpace(StateSpace):
         )
 
 
+ChoosePhases = Callable[[PlanSpace, PhasesOfDurations, Sequence[State]], Mapping[str, float]]
+"""Chooses place -> the most phases of each duration there. It is given the states with one phase
+for each duration."""
+
+
 def explore_plan(
     plan: Plan,
     *,
     timing: Optional[PlanTiming] = None,
+    phases: Optional[ChoosePhases] = None,
     limit: int = PLAN_STATE_LIMIT,
     progress: Optional[Progress] = None,
     cancel: Optional[Cancel] = None,
@@ -169,6 +178,7 @@ def explore_plan(
 
     :param plan: a validated plan.
     :param timing: its durations, to follow the run; None: the classical reading of its net.
+    :param phases: chooses how many phases durations have; None: as many as they need.
     :param limit: stop soon after this many states are known; the result is then not ``complete``.
     :param progress: receives the number of states at intervals.
     :param cancel: called at intervals; returns whether to stop.
@@ -178,7 +188,7 @@ def explore_plan(
     """
     room = Allowance(memory, time.monotonic() + seconds)
     work = _Exploration(limit, Watch(progress, cancel), room, seconds)
-    run_net = compile_plan(plan, timing, phases=False)
+    run_net = compile_plan(plan, timing, phases=dict.fromkeys(plan.action_places, 1))
     if timing is None:
         return work.explore(Steps(run_net), net_notes(plan))
     notes = run_notes(plan, timing, dict(run_net.splits), list(run_net.assumptions))
@@ -186,23 +196,26 @@ def explore_plan(
     if timing.differing:
         space.refusal = "not decided: " + timing.differing
         return space
-    phases = PhasesOfDurations(run_net)
+    many = PhasesOfDurations(run_net)
     if not space.complete:
-        space.where_most = phases.where_most(space.most)
+        space.where_most = many.where_most(space.most)
         return space
-    if phases.most <= 1:
+    if many.most <= 1:
         return space
     # With one phase for each duration, the same markings are reached. How many states there would
     # be with all phases is known before they are visited.
-    needed = phases.states(work.states)
-    if needed > limit or phases.most > MOST_PHASES:
-        space.refusal = "not decided: %s" % phases.why_so_many(needed, limit)
+    most = phases(space, many, work.states) if phases is not None else {}
+    needed = many.states(work.states, most)
+    if needed > limit or (phases is None and many.most > MOST_PHASES):
+        space.refusal = "not decided: %s" % many.why_so_many(needed, limit)
         notes.assumptions.append(
             "for all answers that need no rates, every duration is taken as exponential"
         )
         return space
-    notes.assumptions.extend(phases.matches())
-    return work.explore(Steps(compile_plan(plan, timing)), notes)
+    notes.assumptions.extend(many.matches(most))
+    found = work.explore(Steps(compile_plan(plan, timing, phases=most)), notes)
+    found.fewer_phases = many.fewer(most)
+    return found
 
 
 class _Exploration:

@@ -1,0 +1,128 @@
+"""Durations that get fewer phases than they need, and the intervals of the answers that follow."""
+
+import json
+
+import numpy as np
+import pytest
+from test_run_analysis import plan_of
+
+from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.phasing import add_intervals, phases_for
+from gspn_framework_package.analysis.report import Questions, report
+from gspn_framework_package.cli.main import main
+from gspn_framework_package.formats.plan_json import plan_to_json
+from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.duration import Duration
+from gspn_framework_package.model.event import EventSource
+from gspn_framework_package.run_net.phases import number_of_phases, phases_of
+
+KINDS = {
+    "tiny and constant": Duration.deterministic(1e-6),
+    "constant": Duration.deterministic(2.0),
+    "almost constant": Duration.gamma(15_000.0, 0.5),
+    "less than exponential": Duration.gamma(7.5, 1.3),
+    "many phases": Duration.erlang(12, 0.8),
+    "more than exponential": Duration.gamma(0.4, 0.7),
+    "heavy tail": Duration.lognormal(1.8, 1.5),
+    "mixture": Duration.hyper_erlang([(0.8, 3, 0.4), (0.2, 2, 3.0)]),
+    "two values": Duration.empirical([0.1] * 50 + [0.11] + [4.0] * 50),
+    "uniform": Duration.uniform(0.2, 1.4),
+}
+
+
+@pytest.mark.parametrize("most", [0.5, 1, 2, 3, 7])
+@pytest.mark.parametrize("duration", KINDS.values(), ids=KINDS)
+def test_fewer_phases_have_the_mean_and_the_nearest_variance(duration, most):
+    phases = phases_of(duration, most)
+    assert len(phases.rates) == number_of_phases(duration, most) <= max(most, 2)
+    used = phases.duration
+    assert used.mean == pytest.approx(duration.mean, rel=1e-9)
+    nearest = 1.0 if most == 1 else max(duration.variation**2, 1 / most)
+    assert used.variation**2 == pytest.approx(nearest, rel=1e-6)
+    times = np.concatenate([d.quantile(np.linspace(0.0, 0.9999, 40_001)) for d in (duration, used)])
+    largest = np.abs(duration.cdf(times) - used.cdf(times)).max()
+    assert phases.distance(duration) == pytest.approx(largest, abs=2e-3)
+
+
+def interrupted(duration, rate=0.8):
+    """A robot whose action is interrupted at a rate, and begins again."""
+    net = (
+        NetBuilder("interrupted")
+        .place("Work", 1)
+        .place("Rest")
+        .exponential("done", inputs="Work", outputs="Rest")
+        .exponential("alarm", rate=rate, inputs="Work", outputs="Rest")
+        .exponential("back", rate=1.0, inputs="Rest", outputs="Work")
+        .build()
+    )
+    return plan_of(net, {"Work": duration}, events={"alarm": EventSource("actions.work", "work")})
+
+
+@pytest.mark.parametrize("most", [1, 2, 6])
+@pytest.mark.parametrize("duration", KINDS.values(), ids=KINDS)
+def test_the_interval_contains_what_the_duration_itself_gives(duration, most):
+    """A robot works for E[min(T, alarm)] = (1 - E[exp(-rate T)]) / rate, and is done with
+    probability E[exp(-rate T)]."""
+    plan, rate = interrupted(duration), 0.8
+    analysis = Analysis(plan, phases=phases_for(most))
+    questions = Questions(at=(1.0,), mean_time_to=("Rest == 1",))
+    data = report(analysis, questions)
+    add_intervals(analysis, data, questions)
+    steps = np.linspace(0.0, 1.0, 400_001)
+    times = duration.quantile((steps[:-1] + steps[1:]) / 2)
+    done = np.exp(-rate * times).mean()
+    works = (1 - done) / rate
+    spans = data.get("intervals")
+    if spans is None:  # represented exactly
+        assert data["mean_time_to"][0]["mean_time"] == pytest.approx(works, rel=1e-4)
+        return
+    low, high = spans["mean_time_to"][0]["mean_time"]
+    assert low - 1e-9 <= works <= high + 1e-9
+    low, high = spans["steady_state"]["throughput"]["done"]
+    assert low - 1e-9 <= done / (works + 1) <= high + 1e-9
+    low, high = spans["steady_state"]["mean_tokens"]["Work"]
+    assert low - 1e-9 <= works / (works + 1) <= high + 1e-9
+
+
+def two_roads(durations):
+    """Three robots take a long road and a short one, one after the other."""
+    net = NetBuilder("two_roads").place("Long", 3).place("Short")
+    net.exponential("there", inputs="Long", outputs="Short")
+    net.exponential("back", inputs="Short", outputs="Long")
+    return plan_of(net.build(), durations)
+
+
+def analysed(tmp_path, capsys, plan, *words):
+    path = tmp_path / "plan.json"
+    path.write_text(json.dumps(plan_to_json(plan)))
+    code = main(["analyse", str(path), "--no-structure", *words])
+    return code, capsys.readouterr()
+
+
+def test_a_time_that_is_tiny_beside_the_others_gets_one_phase(tmp_path, capsys):
+    tiny, constant = Duration.deterministic(1e-6), Duration.deterministic(2.0)
+    plan = two_roads({"Long": constant, "Short": tiny})
+    code, printed = analysed(tmp_path, capsys, plan, "--json")
+    data = json.loads(printed.out)
+    used = " ".join(data["timing"]["assumptions"])
+    assert code == 0
+    assert (
+        "Short (deterministic, mean 1e-06 s) was replaced by phases of the same mean: an " in used
+    )
+    assert "mean 2 s) was replaced by phases of the same mean: Erlang with 28 phases, vari" in used
+    low, high = data["intervals"]["steady_state"]["throughput"]["there"]
+    assert low <= 3 / (2.0 + 1e-6) <= high
+    code, printed = analysed(tmp_path, capsys, plan, "--phases", "2")
+    assert code == 0
+    assert "Erlang with 2 phases, variation 0.707 instead of 0; their distributions" in printed.out
+    assert "in brackets: " in printed.out
+
+
+def test_no_intervals_where_durations_are_phases_and_bad_numbers_are_refused(tmp_path, capsys):
+    plan = two_roads({"Long": Duration.erlang(3, 2.0), "Short": Duration.exponential(1.0)})
+    code, printed = analysed(tmp_path, capsys, plan, "--json")
+    assert code == 0
+    assert "intervals" not in json.loads(printed.out)
+    for words in (["--phases", "0"], ["--only-net", "--phases", "3"]):
+        code, printed = analysed(tmp_path, capsys, plan, *words)
+        assert (code, printed.err.count("\n")) == (2, 1), printed.err
