@@ -526,6 +526,7 @@ def test_every_file_on_the_map_is_there():
     assert absent == [], "docs/developing.md names files that are not there (any more)"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("layer", INNER)
 def test_importing_an_inner_layer_imports_no_ros(layer):
     if not (PACKAGE / layer).is_dir():
@@ -685,6 +686,7 @@ def test_a_check_imports_only_what_it_needs():
     assert len(own) <= 60, sorted(own)
 
 
+@pytest.mark.long
 def test_a_check_that_visits_all_markings_imports_no_solver():
     checked, imported = gspn_importing("check", "plans/rendezvous")
     assert checked.returncode == 0
@@ -706,6 +708,7 @@ def test_a_misspelt_verb_is_answered_with_the_one_that_was_meant():
     assert shown.stderr == "gspn: error: there is no verb 'analyze' (did you mean analyse?)\n"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("words", [[], ["no-such-verb"], ["--no-such-option"]])
 def test_wrong_usage_exits_with_2_and_says_why(words):
     shown = gspn(*words)
@@ -782,6 +785,7 @@ sys.exit(main.main(["verb"]))
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("when", ["early", "late"])
 def test_an_interrupt_while_a_library_is_imported_is_no_fault(when):
     process = subprocess.run(

@@ -54,6 +54,7 @@ def test_the_net_has_the_names_of_the_thesis() -> None:
     assert [name.split(":")[1][:8] for name in immediate] == ["Go_Wait_", "Go_Check"] * 4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("robots", [1, 2, 3, 4, 5])
 def test_never_two_robots_in_one_location(robots: int) -> None:
     plan = read_plan(str(PLAN)).for_robots(robots)

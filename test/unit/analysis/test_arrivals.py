@@ -112,6 +112,7 @@ def test_kinds_and_places_of_tasks_have_shares_with_intervals() -> None:
     assert need.of == "kind of order_north" and need.needed > 120
 
 
+@pytest.mark.long
 def test_fit_finds_the_day_in_logs_and_gives_the_plan_a_clock(tmp_path: Any, capsys: Any) -> None:
     plan = warehouse()
     old, new = tmp_path / "plan.json", tmp_path / "new.json"

@@ -64,6 +64,7 @@ def test_with_little_memory_the_steady_state_is_that_in_memory(net, direct):
     assert_as_in_memory(net, direct)
 
 
+@pytest.mark.long
 @settings(derandomize=True, deadline=None, max_examples=50)
 @given(net=bounded_nets(dependent=True), direct=st.sampled_from([0, 2000]))
 def test_rates_that_depend_on_the_marking_are_those_in_memory(net, direct):

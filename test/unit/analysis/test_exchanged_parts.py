@@ -179,6 +179,7 @@ def test_every_generator_leaves_the_net_as_it_is(net):
                 assert {(int(on_places[p]), w) for p, w in rows[t]} == set(rows[image])
 
 
+@pytest.mark.long
 @relaxed
 @given(net=nets_of_equal_parts())
 def test_there_is_one_marking_of_each_orbit_and_its_size_is_right(net):
@@ -255,6 +256,7 @@ def test_equal_robots_are_sorted():
     assert len(space) < 20 and space.count(slice(None)) == len(explore(robots(6)))
 
 
+@pytest.mark.long
 def test_many_equal_robots_have_more_markings_than_a_word_can_count():
     space = lumped(robots(80))
     # each marking by the number of robots that are idle, wait and are busy

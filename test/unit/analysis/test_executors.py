@@ -244,6 +244,7 @@ def test_cancel_reaches_the_workers(executor, tmp_path):
     assert after[0][0] == 9
 
 
+@pytest.mark.long
 def test_workers_end_with_the_process_that_started_them(tmp_path):
     script = (
         "from gspn_framework_package.analysis.executors import *\n"
@@ -319,6 +320,7 @@ def test_what_names_no_executor_is_refused(text):
         open_executor(text)
 
 
+@pytest.mark.long
 def test_local_needs_nothing():
     with open_executor("local") as executor:
         assert isinstance(executor, LocalExecutor)

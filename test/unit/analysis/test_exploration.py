@@ -362,6 +362,7 @@ def test_kept_machine_code_runs_without_numba_until_its_source_changes(tmp_path,
     assert run(other) == "(3, 1, 1) [0.0, 3.0, 6.0] True\n"
 
 
+@pytest.mark.long
 def test_numba_is_not_loaded_for_what_numpy_does_sooner():
     program = (
         "import sys\n"

@@ -532,6 +532,7 @@ def recorded(tmp_path_factory: Any) -> Any:
     return folder
 
 
+@pytest.mark.long
 def test_the_verb_writes_a_plan_with_what_it_learned(recorded, capsys) -> None:
     out = recorded / "new.json"
     code = main(["fit", str(recorded), str(recorded / "log.jsonl"), "-o", str(out), "--json"])
@@ -579,6 +580,7 @@ def test_the_verb_does_not_overwrite_unless_told_to(recorded, capsys, tmp_path) 
     assert read_plan(str(out)).durations["A"].kind is Kind.EXPONENTIAL
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [".", "a/new"])
 def test_the_verb_fills_a_folder(recorded, tmp_path, name) -> None:
     folder = tmp_path / name
@@ -587,6 +589,7 @@ def test_the_verb_fills_a_folder(recorded, tmp_path, name) -> None:
     assert read_plan(str(folder)).durations["A"].kind is Kind.GAMMA
 
 
+@pytest.mark.long
 def test_a_folder_that_cannot_be_made_is_reported(recorded, capsys) -> None:
     taken = recorded / "log.jsonl"
     words = ["fit", str(recorded), str(taken), "-o", str(taken / "new")]

@@ -96,6 +96,7 @@ def test_a_coverability_tree_keeps_to_its_limits():
             assert Analysis(net, limits=limits).tree.bounds
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("part", ["steady", "at", "first_passage", "time_to_steady_state"])
 def test_times_have_a_time_limit(part):
     analysis = Analysis(kanban(3), limits=Limits(seconds=300))
@@ -206,6 +207,7 @@ def test_memory_that_there_is_not_is_a_limit_too():
         working(lambda progress, cancel: bytearray(1 << 30), 1 << 28)
 
 
+@pytest.mark.long
 def test_an_interrupt_ends_the_work_at_once(tmp_path):
     path = tmp_path / "net.pnpro"
     write_net(philosophers(18), path)
@@ -269,6 +271,7 @@ def test_an_interrupt_does_not_wait_for_what_cannot_be_asked(tmp_path):
     _is_ended_by_an_interrupt(program, "working")
 
 
+@pytest.mark.long
 def test_an_interrupt_does_not_wait_for_the_reading_of_a_file():
     program = (
         "import hashlib, sys\n"

@@ -483,6 +483,7 @@ def _flat_sample(plan: Plan, size: int, generator: Any) -> RunSample:
     )
 
 
+@pytest.mark.long
 def test_runs_like_the_predicted_ones_depart_rarely() -> None:
     plan = _plan(DURATIONS[0])
     generator = np.random.default_rng(6)

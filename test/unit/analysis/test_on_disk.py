@@ -63,6 +63,7 @@ def as_in_memory(net, found):
         assert not net.enabled(here)
 
 
+@pytest.mark.long
 @given(net=bounded_nets(max_tokens=6))
 @settings(derandomize=True, deadline=None, max_examples=60)
 def test_the_least_memory_finds_what_is_found_in_memory(net):
@@ -223,6 +224,7 @@ def test_a_full_disk_is_said_before_and_while_it_fills(monkeypatch, tmp_path):
         search(net, LEAST, scratch=Scratch(tmp_path))
 
 
+@pytest.mark.long
 def test_nothing_is_left_in_the_folder_even_while_it_works(tmp_path):
     seen = []
     found = search(

@@ -66,6 +66,7 @@ SETTINGS = st.dictionaries(
 )
 
 
+@pytest.mark.long
 @settings(max_examples=100, deadline=None, derandomize=True, phases=[Phase.generate])
 @given(
     name=st.sampled_from(

@@ -215,6 +215,7 @@ def test_the_smallest_p_values_are_clear_as_long_as_holm_rejects_them() -> None:
     assert largest_clear([0.02, 0.02, 0.02]) == largest_clear([]) == -1.0
 
 
+@pytest.mark.long
 def test_times_without_spread_are_told_apart(tmp_path: Any) -> None:
     own = {
         robot: {"durations": {"Drive": {"mean": mean, "distribution": "deterministic"}}}

@@ -130,6 +130,7 @@ def test_initial_places():
     assert report.of("initial")[0].details["places"] == {"a": {"tokens": 2, "robots": 1}}
 
 
+@pytest.mark.long
 def test_not_conservative_is_refused_with_a_firing_sequence():
     report = check(make_plan(loop().exponential("split", inputs="b", outputs=["a", "b"])))
     (item,) = report.of("conservative")
@@ -547,6 +548,7 @@ def test_the_report_is_plain_json():
     assert str(report).splitlines()[-1].startswith("plan may run")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["measure", "patrol", "rendezvous", "tokens", "warehouse"])
 def test_the_example_plans_may_run(name):
     assert check(read_plan(PLANS / name)).exit_code == 0

@@ -21,6 +21,7 @@ def test_quantiles_are_those_of_the_distributions(probability):
         assert quantiles.chi_squared_above(value, freedom) == pytest.approx(probability)
 
 
+@pytest.mark.long
 def test_no_verb_imports_the_distributions_of_scipy_before_it_needs_them():
     verbs = ("analyse", "check", "compare", "fit", "optimise", "simulate", "verify")
     program = "".join("import gspn_framework_package.cli.%s\n" % verb for verb in verbs)

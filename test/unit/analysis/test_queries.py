@@ -119,6 +119,7 @@ def for_ever(graph, stay, quantifier):
         found -= less
 
 
+@pytest.mark.long
 @relaxed
 @given(st.data(), bounded_nets())
 def test_branching_formulas_hold_in_the_states_of_the_definitions(data, net):
@@ -283,6 +284,7 @@ def test_probabilities_of_a_counter_that_grows():
     assert timed.interval[0] <= 1 - math.exp(-2) <= timed.interval[1]
 
 
+@pytest.mark.long
 def test_the_policy_decides_which_counter_grows():
     builder = NetBuilder("counters").place("a", tokens=1).place("d").place("left").place("right")
     builder.exponential("work", inputs="a", outputs="d")

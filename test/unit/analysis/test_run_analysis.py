@@ -348,12 +348,14 @@ def agrees(plan, time, runs=12):
         assert abs(samples.mean() - value) <= far * error + 1e-9, name
 
 
+@pytest.mark.long
 def test_the_patrol_with_fitted_times_as_it_runs():
     plan = patrol_with(lambda place: exponential(seconds(place)))
     assert checks(Analysis(plan).measures.throughput) == pytest.approx(1.675231, rel=1e-6)
     agrees(plan, 100)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("phases", [1, 2])
 def test_meetings_and_resources_as_they_run(phases):
     plan = read_plan("plans/rendezvous")

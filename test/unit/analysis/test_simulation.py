@@ -162,6 +162,7 @@ def test_forgetting_markings_changes_nothing(monkeypatch):
         assert forgetful.token_distribution[place] == pytest.approx(shares)
 
 
+@pytest.mark.long
 def test_an_unbounded_net():
     net = NetBuilder().place("jobs").exponential("arrive", rate=2.0, outputs="jobs").build()
     result = simulate(net, time=10.0, replications=2000, confidence=0.99999)
@@ -257,12 +258,14 @@ def gillespie(net, time, until, source):
     return [now, *firings, *tokens]
 
 
+@pytest.mark.long
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(bounded_nets(), st.sampled_from(["deadlock", "p0 >= 3", "p0 == 9"]))
 def test_generated_nets(net, until):
     assert_played_by_the_firing_rule(net, until)
 
 
+@pytest.mark.long
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(bounded_nets(dependent=True), st.sampled_from(["deadlock", "p0 >= 3", "p0 == 9"]))
 def test_generated_nets_whose_rates_depend_on_the_marking(net, until):
@@ -309,6 +312,7 @@ def assert_played_by_the_firing_rule(net, until):
     assert (distance <= 7.5 * spread + 1e-6).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "words",
     [

@@ -362,6 +362,7 @@ def team(tmp_path: Any, kind: int, partial: bool, crash: bool = False) -> Tuple[
     return world, save_logs(world, tmp_path)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "partial", "crash"),
     [

@@ -196,6 +196,7 @@ def test_without_leave_no_command_runs(tmp_path, capsys):
     assert sorted(os.listdir(tmp_path)) == ["ask.sh", "plan.json"]
 
 
+@pytest.mark.long
 def test_an_interrupted_run_leaves_no_command_behind(tmp_path):
     deaf = "trap '' TERM; echo $$ > new; mv new pid; sleep 600; sleep 600"
     plan = write_plan(tmp_path, ["sh", "-c", deaf], cancel_grace=0.2)

@@ -230,6 +230,7 @@ def test_who_speaks_another_version_is_named() -> None:
     )
 
 
+@pytest.mark.long
 def test_messages_that_come_again_much_later_change_nothing() -> None:
     for partial in (False, True):
         world = running(partial)

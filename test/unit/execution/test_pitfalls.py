@@ -256,6 +256,7 @@ def gspn(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=str(ROOT), capture_output=True, text=True, timeout=120)
 
 
+@pytest.mark.long
 def test_20_a_plan_of_13_robots_is_checked_by_structure_and_a_refused_one_exits_with_1() -> None:
     report = check(read_plan(str(ROOT / "plans" / "tokens")).for_robots(13))
     assert not report.refused and report.states == 0

@@ -208,6 +208,7 @@ def test_reading_is_no_write(text: str) -> None:
     assert not _writes("def f(self, state):\n    %s\n" % text)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("module", MODULES)
 def test_only_its_owner_writes_a_field(module: str) -> None:
     foreign = [

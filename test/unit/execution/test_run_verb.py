@@ -38,6 +38,7 @@ def test_a_fault_of_the_executor_ends_a_run_without_a_limit(monkeypatch, capsys)
     assert "ended: the run failed" in out and "ZeroDivisionError" in err and "Traceback" not in err
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("options", [[], ["--json"]])
 def test_a_reader_that_leaves_ends_the_run(options):
     command = [sys.executable, "-m", "gspn_framework_package", "run", PLAN, *options]

@@ -46,6 +46,7 @@ def nets(draw):
     return Net(places, transitions, arcs)
 
 
+@pytest.mark.long
 @settings(max_examples=60, deadline=None)
 @given(nets(), st.integers(0, 2**32), st.booleans())
 def test_the_enabled_set_agrees_with_the_net_along_random_walks(net, seed, by_priority):
@@ -62,6 +63,7 @@ def test_the_enabled_set_agrees_with_the_net_along_random_walks(net, seed, by_pr
     assert sorted(kept.now) == list(net.enabled(net.initial_marking, by_priority=by_priority))
 
 
+@pytest.mark.long
 @settings(max_examples=60, deadline=None)
 @given(nets(), st.integers(0, 2**32))
 def test_every_step_is_a_firing_of_the_net(net, seed):

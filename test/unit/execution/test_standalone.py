@@ -382,6 +382,7 @@ def test_the_pool_makes_threads_on_demand_and_uses_idle_ones_again() -> None:
     assert pool._made == 30
 
 
+@pytest.mark.long
 def test_a_task_is_run_even_where_the_idle_threads_are_just_ending() -> None:
     pool = WorkerPool("test", idle_seconds=0.0005)
     for _ in range(100):

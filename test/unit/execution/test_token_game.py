@@ -112,6 +112,7 @@ def test_robots_meet_only_when_both_are_done_and_ask_for_it() -> None:
     assert (run.place("a"), run.place("b")) == ("P3", "P4")
 
 
+@pytest.mark.long
 def test_chance_selects_the_partner_and_who_takes_the_tool() -> None:
     """Whoever finished first, and whatever each asks for."""
     net = (
@@ -326,6 +327,7 @@ def test_without_a_matching_row_weights_decide_but_not_in_a_strict_plan() -> Non
     assert any(isinstance(c, Fault) for c in strict.commands)
 
 
+@pytest.mark.long
 def test_a_draw_is_held_while_the_partner_is_busy() -> None:
     net = (
         NetBuilder()
@@ -351,6 +353,7 @@ def test_a_draw_is_held_while_the_partner_is_busy() -> None:
     assert 340 <= outcomes["meet"] <= 380, outcomes
 
 
+@pytest.mark.long
 def test_draws_follow_the_distribution_and_the_seed() -> None:
     policy = Policy.from_table(["P1"], [((1,), {"a": 0.25, "b": 0.75})])
     fired = [

@@ -54,6 +54,7 @@ def told(old: Dict[str, Any], new: Dict[str, Any]) -> List[str]:
     return [str(change) for change in document_difference(old, new)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SHIPPED)
 def test_the_document_of_a_shipped_plan_is_the_same_plan(name: str) -> None:
     document = document_of(str(PLANS / name))
@@ -171,6 +172,7 @@ KEYS = [
 ]
 
 
+@pytest.mark.long
 @given(st.lists(st.tuples(st.sampled_from(KEYS), JSON), max_size=4))
 @settings(max_examples=150)
 def test_a_half_drawn_document_is_compared_without_a_traceback(edits: Any) -> None:

@@ -349,6 +349,7 @@ RAW = re.compile(
 )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SCHEMA["properties"])
 def test_a_wrong_value_is_reported_in_words_with_its_name(name):
     for value in WRONG:

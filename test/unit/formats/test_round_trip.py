@@ -52,6 +52,7 @@ def test_pipe_holds_capacities(tmp_path, net):
     assert through(net, ["pipe"], tmp_path) == net
 
 
+@pytest.mark.long
 @RELAXED
 @given(net=nets(capacities=False))
 def test_pnpro_holds_numbers_of_servers(tmp_path, net):
@@ -74,6 +75,7 @@ def test_rates_and_weights_that_depend_on_the_marking(tmp_path, name, net):
     assert net_from_json(net_to_json(net)) == net
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("chain", list(itertools.permutations(EXACT)), ids="-".join)
 @settings(parent=RELAXED, max_examples=20)
 @given(net=nets(capacities=False, servers=(1, None)))
@@ -81,6 +83,7 @@ def test_any_way_through_the_formats(tmp_path, chain, net):
     assert through(net, chain, tmp_path) == net
 
 
+@pytest.mark.long
 @RELAXED
 @given(net=nets(capacities=False))
 def test_tina_keeps_structure_and_kinds(tmp_path, net):
@@ -94,6 +97,7 @@ def test_tina_keeps_structure_and_kinds(tmp_path, net):
     assert back.name == net.name
 
 
+@pytest.mark.long
 @RELAXED
 @given(net=nets(capacities=False, servers=(1, None)))
 def test_writing_twice_gives_the_same_file(net):

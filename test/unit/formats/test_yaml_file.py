@@ -38,6 +38,7 @@ def refusal(text: Union[str, bytes], **options: Any) -> InputError:
     return caught.value
 
 
+@pytest.mark.long
 @settings(derandomize=True, max_examples=50, deadline=None)
 @given(PLAIN)
 def test_json_is_read_as_it_is(data: Any) -> None:

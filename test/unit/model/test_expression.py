@@ -152,6 +152,7 @@ def test_constants_that_have_no_value(definitions, message):
     assert message in str(raised.value)
 
 
+@pytest.mark.long
 def test_a_long_chain_of_constants():
     definitions = {"c%d" % n: "c%d + 1" % (n + 1) for n in range(20_000)}
     definitions["c20000"] = "0"

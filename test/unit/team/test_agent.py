@@ -344,6 +344,7 @@ def test_a_function_that_fails_is_a_failed_attempt(write, team, function, more, 
     assert says in team.status("robot_1")["waits_for"]
 
 
+@pytest.mark.long
 def test_another_plan_is_followed_without_a_stop(write, team):
     team.start(write(), "robot_1", "robot_2")
     team.wait_for(lambda: team.status("robot_1")["marking"].get("Wait") == 1, "robot_1")

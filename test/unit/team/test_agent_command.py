@@ -218,6 +218,7 @@ def _stranger():
         listening.shutdown(socket.SHUT_RDWR)
 
 
+@pytest.mark.long
 def test_agents_wait_for_their_router_and_end_when_asked(plan, tmp_path):
     zenoh_team = pytest.importorskip("zenoh") and pytest.importorskip("zenoh_team")
     hub = zenoh_team.Hub()

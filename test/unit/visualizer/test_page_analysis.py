@@ -56,6 +56,7 @@ def ended(client, answer):
     return wait_for(report, seconds=60, what="the analysis")
 
 
+@pytest.mark.long
 def test_a_small_net_is_analysed(ask):
     client = ask(small_net())
     report = ended(client, start(client, structure=True, timing=True))
@@ -117,6 +118,7 @@ def _refusal(monkeypatch, capsys):
     return refusal
 
 
+@pytest.mark.long
 def test_what_the_program_refuses_is_reported(ask):
     client = ask(small_net())
     report = ended(client, start(client, simulate={"until": 3}))
@@ -178,6 +180,7 @@ def test_rewards_that_make_no_sense_are_refused(refusal, rewards):
     assert error and "Traceback" not in error
 
 
+@pytest.mark.long
 def test_the_process_limits_its_memory_and_processor_time():
     script = """
 import json, resource

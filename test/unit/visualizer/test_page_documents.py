@@ -73,6 +73,7 @@ def test_a_plan_file_is_listed_however_broken(served):
         Folder(str(served)).open("broken/plan.json")
 
 
+@pytest.mark.long
 def test_a_plan_with_a_very_long_policy_is_listed(served):
     rows = [{"marking": [i % 2], "choose": {"u": 1}} for i in range(60_000)]
     actions = plan_of("net.xml")["actions"]

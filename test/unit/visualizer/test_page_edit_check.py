@@ -268,6 +268,7 @@ PATHS = [
 ]
 
 
+@pytest.mark.long
 @given(st.lists(st.tuples(st.sampled_from(PATHS), ANYTHING), min_size=1, max_size=3))
 @settings(max_examples=60, deadline=None)
 def test_no_document_gives_a_traceback(edits: Any) -> None:

@@ -254,6 +254,7 @@ PARTS = [
 ]
 
 
+@pytest.mark.long
 @given(
     st.lists(st.sampled_from(PARTS), max_size=5),
     st.lists(st.sampled_from(PARTS), max_size=5),

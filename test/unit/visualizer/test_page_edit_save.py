@@ -70,6 +70,7 @@ def content(folder):
     }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", PLANS + ["warehouse/dock.json"])
 def test_saving_without_edits_writes_nothing(folder, editor, name):
     before = content(folder)

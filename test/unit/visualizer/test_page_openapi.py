@@ -241,6 +241,7 @@ def test_an_order_is_taken_if_it_is_as_described(order, taken):
             ORDERS[order["command"]].checked(order, PAGE)
 
 
+@pytest.mark.long
 def test_the_messages_of_streams_are_as_described():
     page = PageClient()
     operation = operations(page)["GET", "/api/stream"]

@@ -118,6 +118,7 @@ def test_a_stalled_viewer_grows_no_memory_and_stops_nobody():
     assert found["reader_gaps"] == 0 and found["events"] >= 80_000
 
 
+@pytest.mark.long
 def test_a_viewer_far_behind_is_reported_everything_or_gets_a_snapshot(serve):
     server = serve()
     _, response = stream(server)
@@ -321,6 +322,7 @@ def test_a_port_that_is_taken_is_reported(serve, capsys):
     assert "another with --port" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_serve_serves_until_it_is_interrupted():
     command = [
         sys.executable,

@@ -67,6 +67,7 @@ def test_a_time_leads_to_the_last_event_until_then(client: PageClient) -> None:
     assert hub.event_at(1.0) is not None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("t", ["", "-1", "1e3", "nan", "1.1234567", "9" * 20])
 def test_what_is_no_time_is_refused(client: PageClient, t: str) -> None:
     assert client.get("/api/moment?%s&t=%s" % (ID, t)).status_code == 400

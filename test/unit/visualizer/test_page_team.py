@@ -43,6 +43,7 @@ def random_run(plan, seed, slots=60, evict=0.04):
         yield game, (entry,), game.reduce(state, slot, [entry]).firings, state
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("folder", PLANS)
 @settings(max_examples=8, deadline=None)
 @given(seed=st.integers(0, 2**32))
@@ -104,6 +105,7 @@ def heard(plan, seed):
     return news, marking
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("folder", PLANS)
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2**32), shuffle=st.integers(1, 6))

@@ -177,6 +177,7 @@ def with_rates(automaton, factors):
     return dataclasses.replace(automaton, values=values)
 
 
+@pytest.mark.long
 @relaxed
 @given(rings(), st.booleans(), st.data())
 def test_the_robust_bounds_hold_the_best_worst_value(problem, maximise, data):

@@ -35,6 +35,7 @@ def close(value, wanted):
     return abs(value - wanted) <= 1e-7 * max(1.0, abs(wanted))
 
 
+@pytest.mark.long
 @relaxed
 @given(automata(), st.sampled_from(list(Aim)), st.booleans())
 def test_the_bounds_hold_the_best_of_all_policies(problem, aim, maximise):
@@ -67,6 +68,7 @@ def test_the_bounds_hold_the_best_of_all_policies(problem, aim, maximise):
         assert close(value_of(automaton, rewards, goal, DISCOUNT, aim, policy), wanted)
 
 
+@pytest.mark.long
 @relaxed
 @given(automata(), st.sampled_from(list(Aim)), st.randoms(use_true_random=False))
 def test_evaluate_gives_the_value_of_a_policy_and_its_flows(problem, aim, random):
