@@ -145,10 +145,15 @@ def round_trips(transport: str, count: int) -> Dict[str, Any]:
 
 
 def measure(
-    transport: str, robots: int, window: float, load: str = "instant", flooded: bool = False
+    transport: str,
+    robots: int,
+    window: float,
+    load: str = "instant",
+    flooded: bool = False,
+    mode: Synchronisation = Synchronisation.FULL,
 ) -> Dict[str, Any]:
     """Firings a second and times between two actions, over ``window`` seconds."""
-    with CarrierTeam(plan_of(load, robots, Synchronisation.FULL), transport) as team:
+    with CarrierTeam(plan_of(load, robots, mode), transport) as team:
         if flooded:
             team.start_beside(FLOODER)
         team.await_steady()

@@ -8,6 +8,8 @@
 - *Team*: ``plans/tokens`` with instant actions over Zenoh, without keys, as in
   :mod:`~benchmarks.carriers`: every robot fires again as soon as its last firing is agreed, and
   each firing is in the log of each robot.
+- *Team, independent*: the same with a ring whose firings are local to a robot (partial
+  synchronisation), which are agreed many at a time.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from benchmarks.harness.processes import end_cleanly_on_signal
 from benchmarks.harness.team import percentile_99, why_no_zenoh
 from benchmarks.machine import describe_machine, machine_line, table
 from gspn_framework_package.model.errors import ExecutionError, UsageError
+from gspn_framework_package.model.plan import Synchronisation
 
 PERIOD = 0.001
 """Seconds between two messages of entries. With 0.01 s, three processes made 189 additions a second
@@ -101,6 +104,22 @@ def _add(own: str, addresses: Sequence[str], window: float, found: Any) -> None:
     time.sleep(_PATIENCE)  # the others need a quorum until their window ends
 
 
+def _team(robots: int, window: float, kind: str) -> Dict[str, Any]:
+    """A row about a team whose moves are all ``kind``: "coordinated" or "private"."""
+    if kind == "private":
+        team = measure("tcp", robots, window, "private", mode=Synchronisation.PARTIAL)
+    else:
+        team = measure("tcp", robots, window)
+    return {
+        "robots": robots,
+        "what": "team, independent" if kind == "private" else "team",
+        "per_s": team["firings_per_s"],
+        "median_ms": team[kind + "_median_ms"],
+        "p99_ms": team[kind + "_p99_ms"],
+        "logs": team["logs"],
+    }
+
+
 def main(arguments: Optional[Sequence[str]] = None) -> int:
     """Measure, and print a table or JSON; returns 1 if a log of the team is not valid."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
@@ -121,17 +140,8 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     for robots in args.robots:
         for _ in range(args.rounds):
             rows.append({"robots": robots, "what": "PySyncObj", **count(robots, args.window)})
-            team = measure("tcp", robots, args.window)
-            rows.append(
-                {
-                    "robots": robots,
-                    "what": "team",
-                    "per_s": team["firings_per_s"],
-                    "median_ms": team["coordinated_median_ms"],
-                    "p99_ms": team["coordinated_p99_ms"],
-                    "logs": team["logs"],
-                }
-            )
+            rows.append(_team(robots, args.window, "coordinated"))
+            rows.append(_team(robots, args.window, "private"))
     machine = describe_machine(("eclipse-zenoh", "pysyncobj"))
     if args.json:
         print(json.dumps({"machine": machine, "window_s": args.window, "rows": rows}))
