@@ -11,6 +11,8 @@ settings.load_profile("any")
 
 
 def pytest_collection_finish():
-    # to look for reference cycles among all that the tests import, again and again, takes a tenth of their time
+    # to look for reference cycles among all that the tests import, again and again, takes a tenth of their time; and as
+    # often as Python does by itself among what they make, a twentieth
     gc.collect()
     gc.freeze()
+    gc.set_threshold(100_000, 20, 20)
