@@ -80,7 +80,7 @@ def check(
     begin = time.monotonic()
     with tempfile.TemporaryDirectory() as scratch:
         command = ["java", "-XX:+UseParallelGC" if workers > 1 else "-XX:+UseSerialGC"]
-        if configuration.stem.startswith(("small_two", "mutant")):
+        if configuration.stem.startswith(("small", "mutant")):
             command.append("-XX:TieredStopAtLevel=1")  # half the processor time of a short run
         command += ["-cp", str(JAR), "tlc2.TLC", "-deadlock", "-workers", str(workers)]
         command += ["-metadir", scratch, "-config", str(configuration), module.name]
