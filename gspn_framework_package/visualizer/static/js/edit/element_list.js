@@ -22,6 +22,8 @@ export class ElementList extends RestingList {
     this.rows = new Map(); // key -> the row drawn for it
     this.at = null; // key of the element with the keyboard focus
     this.made = 0; // number of rows made so far, for unique ids
+    this.listed = null; // the state of the document whose elements `all` contains
+    this.all = [];
     this.items = [];
     this.search = textField({
       id: "ed-search",
@@ -58,53 +60,50 @@ export class ElementList extends RestingList {
     this.update();
   }
 
+  /** All elements of the document, as [[title, items in the order of their names], ...]. */
+  elements() {
+    const { state } = this.mode.document;
+    if (this.listed === state) return this.all;
+    const { net } = (this.listed = state);
+    const { canvas } = this.mode;
+    const boxes = [...canvas.groups].map(([title, nodes]) => ({
+      key: `group:${title}`,
+      name: title,
+      sign: "group",
+      says: `, group of ${nodes.length}`,
+    }));
+    const places = net.places.map((place) => ({
+      key: nodeKey("place", place.name),
+      name: place.name,
+      sign: canvas.classOf("place", place) === "resource" ? "resource" : "place",
+      says: `, place, ${place.tokens || 0} tokens`,
+      count: place.tokens,
+    }));
+    const transitions = net.transitions.map((t) => ({
+      key: nodeKey("transition", t.name),
+      name: t.name,
+      sign: t.timed ? "timed" : "immediate",
+      says: `, ${t.timed ? "timed" : "immediate"} transition`,
+    }));
+    const arcs = net.arcs.map((arc) => ({
+      key: arcKey(arc),
+      name: `${arc.from} → ${arc.to}`,
+      sign: arc.inhibitor ? "arc-sign inhibits" : "arc-sign",
+      says: arc.inhibitor ? ", inhibitor arc" : ", arc",
+      count: (arc.weight ?? 1) === 1 ? undefined : arc.weight,
+    }));
+    const titled = { Groups: boxes, Places: places, Transitions: transitions, Arcs: arcs };
+    this.all = Object.entries(titled);
+    for (const [, items] of this.all) items.sort((a, b) => natural(a.name, b.name));
+    return this.all;
+  }
+
   draw() {
-    const { net } = this.mode.document;
     const wanted = this.search.value.trim().toLowerCase();
-    const found = (items) =>
-      items
-        .filter((item) => !wanted || item.name.toLowerCase().includes(wanted))
-        .sort((a, b) => natural(a.name, b.name));
-    const places = found(
-      net.places.map((place) => ({
-        key: nodeKey("place", place.name),
-        name: place.name,
-        sign: this.mode.canvas.classOf("place", place) === "resource" ? "resource" : "place",
-        says: `, place, ${place.tokens || 0} tokens`,
-        count: place.tokens,
-      })),
-    );
-    const transitions = found(
-      net.transitions.map((t) => ({
-        key: nodeKey("transition", t.name),
-        name: t.name,
-        sign: t.timed ? "timed" : "immediate",
-        says: `, ${t.timed ? "timed" : "immediate"} transition`,
-      })),
-    );
-    const arcs = found(
-      net.arcs.map((arc) => ({
-        key: arcKey(arc),
-        name: `${arc.from} → ${arc.to}`,
-        sign: arc.inhibitor ? "arc-sign inhibits" : "arc-sign",
-        says: arc.inhibitor ? ", inhibitor arc" : ", arc",
-        count: (arc.weight ?? 1) === 1 ? undefined : arc.weight,
-      })),
-    );
-    const boxes = found(
-      [...this.mode.canvas.groups].map(([title, nodes]) => ({
-        key: `group:${title}`,
-        name: title,
-        sign: "group",
-        says: `, group of ${nodes.length}`,
-      })),
-    );
-    const groups = [
-      ["Groups", boxes],
-      ["Places", places],
-      ["Transitions", transitions],
-      ["Arcs", arcs],
-    ];
+    const groups = this.elements().map(([title, items]) => [
+      title,
+      wanted ? items.filter(({ name }) => name.toLowerCase().includes(wanted)) : items,
+    ]);
     this.items = groups.flatMap(([, items]) => items);
     // the first ones, or those around the focused one
     const at = this.items.findIndex(({ key }) => key === (this.mode.arcEnd ?? this.at));
