@@ -491,6 +491,25 @@ def test_a_net_of_1000_nodes_and_1000_edits_undone(edit):
     page.wait_for_selector("#ed-list li[data-key='place:r0_p0'] .tokens:text-is('3')")
     assert page.evaluate("() => window.row.isConnected")
     page.evaluate("() => window.gspn.edit.undo()")
+    # a view that moves is not drawn again until it rests, and nodes are where they belong before and after
+    off, waits = page.evaluate(
+        """async () => { const { canvas } = window.gspn.edit, { camera } = canvas;
+        const frame = () => new Promise(requestAnimationFrame);
+        const off = () => { const box = canvas.container.getBoundingClientRect(), { k, x, y } = camera.now;
+          return Math.max(...canvas.nodes.filter((n) => n.type === "place" && !n.hidden).map((n) => {
+            const at = n.element.querySelector("circle").getBoundingClientRect();
+            return Math.hypot((at.left + at.right) / 2 - box.left - n.x * k - x, (at.top + at.bottom) / 2 - box.top - n.y * k - y); })); };
+        camera.zoom(2.5);
+        while (camera.drawn !== camera.now) await frame();
+        camera.pan(70.5, -90);
+        await frame();
+        camera.zoom(0.9);
+        await frame();
+        const moving = off(), waits = camera.drawn !== camera.now;
+        while (camera.drawn !== camera.now) await frame();
+        return [[moving, off()], waits]; }"""
+    )
+    assert waits and max(off) < 1, off
     # of the list's rows those are drawn that the keys have come to
     page.focus("#ed-list")
     key(page, "End", "ArrowUp")

@@ -14,17 +14,22 @@ const EDGE = 24; // px from the edge within which a node counts as out of sight
 const INSIDE = 90; // a node that was out of sight is brought this far from the edge (px)
 const THIN = 0.5; // below this zoom, lines are drawn thicker so that they stay visible
 const REST = 150; // ms without a move after which the view is at rest
+const AROUND = 200; // px around the view that are drawn, too, in large nets: so far it moves without being drawn anew
+const BLURRED = 3; // the drawing of a large net is stretched up to this factor until it is drawn anew
 
 const limited = (k) => Math.min(NEAREST, Math.max(FARTHEST, k));
 
 export class Camera {
-  /** `view`: the net view, whose `moving` layers get the transform. */
+  /** `view`: the net view. Its `moving` layers get the transform at which they are drawn, and the sheets that contain
+   * them the rest: in a large net, only these move until the view rests, as its layers take long to draw. */
   constructor(view) {
     this.view = view;
     this.dirty = false; // whether the transform has changed since it was drawn
     this.fitted = false;
     this.small = false;
     this.now = null; // {k, x, y}: zoom, and where the origin of the net is in the container (px)
+    this.drawn = null; // the same, as the layers are drawn
+    this.around = undefined; // px around the container that they are drawn in
     this.minimap = new Minimap(this);
     this.observer = new ResizeObserver(() => this.resized());
     this.observer.observe(view.container);
@@ -126,14 +131,11 @@ export class Camera {
 
   draw() {
     this.dirty = false;
-    const { k, x, y } = this.now;
-    const transform = `translate(${x.toFixed(1)} ${y.toFixed(1)}) scale(${k.toFixed(4)})`;
-    for (const layer of this.view.moving) layer.setAttribute("transform", transform);
-    this.small = k < SMALL;
+    this.small = this.now.k < SMALL;
     this.cull();
     this.minimap.draw();
     this.keepMoving();
-    if (this.view.nodes.length < CULL || !this.bold) this.rest();
+    if (this.view.nodes.length < CULL || !this.drawn || !this.move()) this.rest();
     else
       this.resting = setTimeout(() => {
         // unless the next frame, however late it is, moves the view again
@@ -146,10 +148,30 @@ export class Camera {
     cancelAnimationFrame(this.last);
   }
 
+  /** Move and stretch what is drawn. Returns whether it fills the view and is sharp enough. */
+  move() {
+    const { now, drawn, around } = this;
+    const { width, height } = this.size;
+    const stretch = now.k / drawn.k;
+    const [dx, dy] = [now.x - stretch * drawn.x, now.y - stretch * drawn.y];
+    for (const sheet of this.view.container.children)
+      sheet.style.transform = `translate(${dx}px, ${dy}px) scale(${stretch})`;
+    const fills = (shift, size) =>
+      shift <= stretch * around && shift + stretch * (size + around) >= size;
+    return stretch < BLURRED && fills(dx, width) && fills(dy, height);
+  }
+
   /** What takes longer than a frame in a large net: draw what is visible at this zoom, lines and arrowheads so thick,
    * and so large, that they are, and hide the nodes that are not in view. */
   rest() {
-    const { k } = this.now;
+    const { k, x, y } = (this.drawn = this.now);
+    const around = this.view.nodes.length < CULL ? 0 : AROUND;
+    if (around !== this.around) this.view.container.style.setProperty("--around", `${around}px`);
+    this.around = around;
+    const at = [x, y].map((value) => (value + around).toFixed(1)).join(" ");
+    const transform = `translate(${at}) scale(${k.toFixed(4)})`;
+    for (const layer of this.view.moving) layer.setAttribute("transform", transform);
+    this.move();
     this.cull(true);
     this.view.container.classList.toggle("far", k < FAR);
     this.view.arcs.zoomed(k);
@@ -160,17 +182,17 @@ export class Camera {
     this.bold = bold;
   }
 
-  /** Show the nodes that are in view; `hide`: and no others. */
+  /** Show the nodes that are in view or close to it; `hide`: and no others. */
   cull(hide = false) {
     const { nodes } = this.view;
     if (nodes.length < CULL || !this.now) return;
     const { width, height } = this.size;
     const { k, x, y } = this.now;
     const [x0, y0, x1, y1] = [
-      (-x - 80) / k,
-      (-y - 60) / k,
-      (width - x + 80) / k,
-      (height - y + 60) / k,
+      (-x - AROUND) / k,
+      (-y - AROUND) / k,
+      (width - x + AROUND) / k,
+      (height - y + AROUND) / k,
     ];
     for (const node of nodes) {
       const out = node.x < x0 || node.x > x1 || node.y < y0 || node.y > y1;

@@ -22,29 +22,27 @@ export const at = ({ x, y }) => `translate(${x.toFixed(1)} ${y.toFixed(1)})`;
 
 const SPOTS = { circle: ["cx", "cy"], rect: ["x", "y"], text: ["x", "y"] };
 
-/** Move a part of a symbol. */
+/** Move a part of a symbol, and what is in it. A large net with a transform for each part takes a multiple of the time
+ * to draw. */
 function shift(part, [dx, dy]) {
-  const moved = (text) =>
-    text.replace(/([M(])(-?[\d.]+) (-?[\d.]+)/g, (_, begin, x, y) => {
-      return `${begin}${(Number(x) + dx).toFixed(2)} ${(Number(y) + dy).toFixed(2)}`;
-    });
   SPOTS[part.localName]?.forEach((name, i) => {
     part.setAttribute(name, (Number(part.getAttribute(name)) + [dx, dy][i]).toFixed(2));
   });
-  if (part.localName === "path") part.setAttribute("d", moved(part.getAttribute("d")));
-  if (part.localName === "g")
-    part.setAttribute("transform", moved(part.getAttribute("transform") || at({ x: 0, y: 0 })));
-}
-
-/** Add a part to the symbol of a node, drawn around (0, 0). */
-export function put(node, part) {
-  shift(part, node.base);
-  node.element.append(part);
+  if (part.localName === "path") {
+    const moved = (_, x, y) => `M${(Number(x) + dx).toFixed(2)} ${(Number(y) + dy).toFixed(2)}`;
+    part.setAttribute("d", part.getAttribute("d").replace(/M(-?[\d.]+) (-?[\d.]+)/g, moved));
+  }
+  for (const inside of part.children) shift(inside, [dx, dy]);
   return part;
 }
 
-/** Show a symbol where its node is now, for as long as the node moves: a large net with a transform for each node takes
- * a multiple of the time to draw. */
+/** Add a part to the symbol of a node, drawn around (0, 0) or around [x, y]. */
+export function put(node, part, [x, y] = [0, 0]) {
+  node.element.append(shift(part, [node.base[0] + x, node.base[1] + y]));
+  return part;
+}
+
+/** Show a symbol where its node is now, for as long as the node moves. */
 export function follow(node) {
   const [x, y] = [node.x - node.base[0], node.y - node.base[1]];
   node.element.setAttribute("transform", at({ x, y }));
@@ -176,17 +174,11 @@ function drawRobots(node, robots) {
             })
           : s("circle.disc", { r: radius });
         disc.style.fill = colourOf(robot.name);
-        return s(
-          "g",
-          {
-            class: `robot ${phase}${robot.paused ? " paused" : ""}`,
-            transform: at({ x: centres[i][0], y: centres[i][1] }),
-            "data-robot": robot.name,
-          },
-          s("title", robot.name),
-          disc,
-          text,
-        );
+        const look = {
+          class: `robot ${phase}${robot.paused ? " paused" : ""}`,
+          "data-robot": robot.name,
+        };
+        return shift(s("g", look, s("title", robot.name), disc, text), centres[i]);
       }),
   );
   put(node, node.robots);
@@ -209,16 +201,16 @@ export function drawLost(node, robots) {
   node.lost = s(
     "g",
     robots.map((robot, i) =>
-      s(
-        "g.lost-mark",
-        {
-          transform: at({ x: RADIUS * 0.8 + i * 17, y: -RADIUS * 0.8 }),
-          "data-lost": robot.name,
-        },
-        s("title", `${robot.name} is lost`),
-        s("circle", { r: 8 }),
-        s("text", shortName(robot.name)),
-        s("path", { d: "M-5.5 5.5L5.5 -5.5" }),
+      shift(
+        s(
+          "g.lost-mark",
+          { "data-lost": robot.name },
+          s("title", `${robot.name} is lost`),
+          s("circle", { r: 8 }),
+          s("text", shortName(robot.name)),
+          s("path", { d: "M-5.5 5.5l11 -11" }),
+        ),
+        [RADIUS * 0.8 + i * 17, -RADIUS * 0.8],
       ),
     ),
   );

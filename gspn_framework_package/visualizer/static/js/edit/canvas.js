@@ -531,13 +531,8 @@ export class Canvas extends EventTarget {
     title.textContent = mark ? `${node.name}: ${mark.text}` : node.name;
     if (!mark) return;
     node.element.classList.add(`mark-${mark.level}`);
-    node.sign = s(
-      "g.mark-sign",
-      { transform: "translate(17 -20)" },
-      s("circle", { r: 8 }),
-      s("text", mark.level === "note" ? "i" : "!"),
-    );
-    put(node, node.sign);
+    const text = s("text", mark.level === "note" ? "i" : "!");
+    node.sign = put(node, s("g.mark-sign", s("circle", { r: 8 }), text), [17, -20]);
   }
 
   /** Show other tokens than the document's: place -> count; null: those of the document. */
