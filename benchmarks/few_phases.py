@@ -94,11 +94,11 @@ def compared(plan: str, seconds: float = 5_000.0, runs: int = 200) -> List[objec
     steady = exact["steady_state"]
     if steady is None:
         return [plan, "-", round(wall, 1), round(used, 1), round(memory), "none", "", ""]
-    spans = exact.get("intervals", {}).get("steady_state", {})
+    spans = exact.get("intervals", {})
     widths, inside, overlapping = [], 0, 0
     for key in ("mean_tokens", "throughput"):
         for name, value in steady[key].items():
-            low, high = spans.get(key, {}).get(name) or (value, value)
+            low, high = spans.get("steady_state." + key, {}).get(name) or (value, value)
             mean, noise = (simulated[key][name][part] or 0.0 for part in ("mean", "half_width"))
             rounding = 1e-6 + 1e-6 * value
             inside += low - rounding <= mean <= high + rounding

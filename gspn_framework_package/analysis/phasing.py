@@ -1,4 +1,4 @@
-"""Few phases for the durations of a plan, and the intervals of the answers that follow.
+"""Few phases for the durations of a plan, and the intervals of answers about time.
 
 A chain can follow a duration only as exponential phases. Where those that it needs make too many
 states, it gets fewer, with the same mean. All answers about time are then computed twice: as well
@@ -7,21 +7,29 @@ is a linear function of the squared coefficients of variation, it is off by at m
 of the two; if of the coefficients themselves, by at most 1 + sqrt(2) times as much, the half width
 of its interval. An answer that hardly differs by chance gets the share by which those of its table
 differ together. That is an estimate, not a bound.
+
+What was learned from logs is uncertain, too: values are drawn from their posterior distributions,
+and the half width of a prediction interval (Student's t, 95 %) of the answers with one phase for
+each duration, relative to their mean, is added.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, Dict, List, Mapping, Optional, Sequence
+from typing import Any, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.chain.markov_chain import Chain
+from gspn_framework_package.analysis.monitoring.prediction import draw_parameters, is_uncertain
 from gspn_framework_package.analysis.plan.space import ChoosePhases, PlanSpace
-from gspn_framework_package.analysis.report import Questions, report
+from gspn_framework_package.analysis.quantiles import student
+from gspn_framework_package.analysis.report import Questions, ReportWork, titled
+from gspn_framework_package.analysis.report_measures import Part
 from gspn_framework_package.analysis.solution.steady_state import steady_state
 from gspn_framework_package.model.errors import LimitError, RefusedError
+from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.run_net.run_net import State
 from gspn_framework_package.run_net.size import PhasesOfDurations
 
@@ -30,6 +38,10 @@ FEW_STATES = 100_000
 
 _HALF_WIDTH = 1 + math.sqrt(2)
 """Half width of an interval, in differences of the two answers."""
+
+_FEWEST_DRAWS, _MOST_DRAWS, _DRAWN_STATES = 8, 40, 120_000
+"""Values that were learned are drawn so often at least and at most, and so that about so many
+states are visited in all."""
 
 _TABLES = ("mean_tokens", "throughput", "mean_waiting_time")
 
@@ -62,79 +74,107 @@ def phases_for(most: Optional[int] = None, limit: Optional[int] = None) -> Choos
 
 
 def add_intervals(analysis: Analysis, data: Dict[str, Any], questions: Questions) -> None:
-    """Add the ``intervals`` that are due to the phases to a report, unless all durations are
-    represented exactly."""
-    space = analysis.space
-    if not isinstance(space, PlanSpace) or not space.fewer_phases or space.refusal:
+    """Add to a report the ``intervals`` that are due to the phases of durations, if they are not
+    represented exactly, and to the logs that a plan was learned from, with ``interval_sources``:
+    what they hold, in words for people."""
+    plan, space = analysis.plan, analysis.space
+    if plan is None or not isinstance(space, PlanSpace) or not space.complete or space.refusal:
         return
-    fewer = space.fewer_phases
-    assert analysis.plan is not None
-    other = Analysis(
-        analysis.plan,
-        limits=analysis.limits._replace(states=None),
-        timing=space.notes.reading,
-        phases=lambda *_: fewer,
-        progress=analysis.while_working["progress"],
-        cancel=analysis.while_working["cancel"],
-    )
-    asked = questions._replace(structure=False, reach=(), cover=())
-    again = report(other, asked)
-    for key, reason in again["undecided"].items():
-        if key not in data["undecided"]:
-            data["undecided"]["intervals.%s" % key] = reason
-    found: Dict[str, Any] = {}
-    if data.get("steady_state") and again["steady_state"]:
-        found["steady_state"] = _spans_of(data["steady_state"], again["steady_state"])
-    for key in data["titles"].get("timing", ()):
-        if data[key] and again[key]:
-            found[key] = _spans(data[key], again[key])
-    if data.get("transient") and again["transient"]:
-        found["transient"] = [
-            _spans_of(*pair) for pair in zip(data["transient"], again["transient"])
+    here = _tables(data)
+
+    def answers(of: Plan, phases: Mapping[str, float]) -> Dict[str, Dict[str, float]]:
+        other = Analysis(
+            of,
+            limits=analysis.limits._replace(states=None),
+            timing=space.notes.reading,
+            phases=lambda *_: phases,
+            progress=analysis.while_working["progress"],
+            cancel=analysis.while_working["cancel"],
+        )
+        work = ReportWork(other)
+        work.basics()
+        work.timed(questions)
+        for key in work.undecided.keys() - data["undecided"].keys():
+            data["undecided"]["intervals.%s" % key] = work.undecided[key]
+        return _tables(work.data)
+
+    halves = {key: dict.fromkeys(table, 0.0) for key, table in here.items()}
+    sources = []
+    if here and space.fewer_phases:
+        sources.append("durations are replaced")
+        there = answers(plan, space.fewer_phases)
+        for key, name, v in _entries(here):
+            halves[key][name] = _HALF_WIDTH * _change(key, name, v, here[key], there.get(key, {}))
+    single = dict.fromkeys(plan.action_places, 1.0)
+    draws = min(_MOST_DRAWS, _DRAWN_STATES // len(space.distinct(np.arange(len(space)))))
+    if here and is_uncertain(plan) and draws >= _FEWEST_DRAWS:
+        sources.append("the logs that values were learned from are short")
+        generator = np.random.Generator(np.random.PCG64(0))
+        drawn = [
+            answers(draw_parameters(plan, generator).apply(plan), single) for _ in range(draws)
         ]
-    if data.get("mean_time_to"):
-        found["mean_time_to"] = [
-            _passage(*pair) for pair in zip(data["mean_time_to"], again["mean_time_to"])
-        ]
-    data["intervals"] = found
+        times = student(0.975, draws - 1) * math.sqrt(1 + 1 / draws)
+        for key, name, v in _entries(here):
+            found = [table[key][name] for table in drawn if name in table.get(key, {})]
+            if len(found) == draws and any(found):
+                halves[key][name] += (
+                    times * float(np.std(found, ddof=1) / abs(np.mean(found))) * abs(v)
+                )
+    if sources:
+        data["interval_sources"] = sources
+        data["intervals"] = {
+            key: {name: _ends(name, v, halves[key][name]) for name, v in table.items()}
+            for key, table in here.items()
+        }
 
 
-def _spans_of(here: Mapping[str, Any], there: Mapping[str, Any]) -> Dict[str, Any]:
-    """The intervals of the measures of one distribution."""
-    found: Dict[str, Any] = {key: _spans(here[key], there[key]) for key in _TABLES if key in here}
-    if "reward" in here:
-        found["reward"] = _span(here["reward"], there["reward"], -math.inf)
-    return found
-
-
-def _passage(here: Any, there: Any) -> Any:
-    if not here or not there:
-        return None
-    within = zip(here["within"], there["within"])
+def _tables(data: Mapping[str, Any]) -> Dict[str, Dict[str, float]]:
+    """The answers about time of a report: what they are of -> name -> number."""
+    found: Dict[str, Dict[str, Any]] = {}
+    parts: List[Tuple[str, Any]] = [("steady_state", data.get("steady_state"))]
+    parts += [("transient.%d" % i, part) for i, part in enumerate(data.get("transient") or ())]
+    for key, part in parts:
+        found.update(("%s.%s" % (key, of), part[of]) for of in _TABLES if of in (part or ()))
+        if part and "reward" in part:
+            found[key] = {"reward": part["reward"]}
+    found.update((key, data[key]) for key, _ in titled(data, Part.TIMING) if data[key])
+    for i, passage in enumerate(data.get("mean_time_to") or ()):
+        if passage:
+            within = {
+                "within.%d" % n: entry["probability"] for n, entry in enumerate(passage["within"])
+            }
+            first = {key: passage[key] for key in ("mean_time", "probability")}
+            found["mean_time_to.%d" % i] = {**first, **within}
     return {
-        "mean_time": _span(here["mean_time"], there["mean_time"]),
-        "probability": _span(here["probability"], there["probability"], 0.0, 1.0),
-        "within": [_span(a["probability"], b["probability"], 0.0, 1.0) for a, b in within],
+        key: {name: v for name, v in table.items() if isinstance(v, (int, float))}
+        for key, table in found.items()
     }
 
 
-def _spans(here: Mapping[str, Any], there: Mapping[str, Any]) -> Dict[str, Optional[List[float]]]:
-    """The intervals of the numbers of a table."""
-    both = [(v, there[name]) for name, v in here.items() if _is_number(v, there[name])]
-    total = sum(v for v, _ in both)
-    share = sum(abs(v - w) for v, w in both) / total if total else 0.0
-    return {name: _span(v, there[name], share=share) for name, v in here.items()}
+def _entries(tables: Mapping[str, Mapping[str, float]]) -> Iterator[Tuple[str, str, float]]:
+    for key, table in tables.items():
+        for name, value in table.items():
+            yield key, name, value
 
 
-def _span(
-    here: Any, there: Any, low: float = 0.0, high: float = math.inf, share: float = 0.0
-) -> Optional[List[float]]:
+def _change(
+    key: str, name: str, value: float, here: Mapping[str, float], there: Mapping[str, float]
+) -> float:
+    """How much fewer phases change an answer, or its table as a whole; infinite: not known."""
+    if name not in there:
+        return math.inf
+    share = 0.0
+    if not key.startswith("mean_time_to"):
+        both = [(v, there[other]) for other, v in here.items() if other in there]
+        total = sum(abs(v) for v, _ in both)
+        share = sum(abs(v - w) for v, w in both) / total if total else 0.0
+    return max(abs(value - there[name]), share * abs(value))
+
+
+def _ends(name: str, value: float, half: float) -> Optional[List[float]]:
     """The ends of an interval; None: there is none."""
-    if not _is_number(here, there):
+    if math.isinf(half):
         return None
-    half = _HALF_WIDTH * max(abs(here - there), share * abs(here))
-    return [max(here - half, low), min(here + half, high)]
-
-
-def _is_number(*values: Any) -> bool:
-    return all(isinstance(value, (int, float)) for value in values)
+    low = value - half if name == "reward" else max(value - half, 0.0)
+    chance = name == "probability" or name.startswith("within.")
+    return [low, min(value + half, 1.0) if chance else value + half]

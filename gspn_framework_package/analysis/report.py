@@ -129,16 +129,10 @@ def report(analysis: Analysis, questions: Optional[Questions] = None) -> Dict[st
         work.reach(condition)
     for marking in questions.cover:
         work.cover(marking)
-    if questions.timing:
-        work.steady_state(questions.rewards)
-        work.measures(Part.TIMING, work.undecided.get("steady_state", ""))
+    work.timed(questions)
     if questions.settling is not None:
         tolerance = questions.settling
         work.answer("time_to_steady_state", lambda: analysis.time_to_steady_state(tolerance))
-    if questions.at:
-        work.at(questions)
-    for condition in questions.mean_time_to:
-        work.mean_time_to(condition, questions.at)
     work.finish()
     return work.data
 
@@ -354,6 +348,16 @@ class ReportWork:
             return data
 
         self.data.setdefault(question, []).append(self._try(key, compute))
+
+    def timed(self, questions: Questions) -> None:
+        """Answer the questions about time."""
+        if questions.timing:
+            self.steady_state(questions.rewards)
+            self.measures(Part.TIMING, self.undecided.get("steady_state", ""))
+        if questions.at:
+            self.at(questions)
+        for condition in questions.mean_time_to:
+            self.mean_time_to(condition, questions.at)
 
     def steady_state(self, rewards: Mapping[str, float]) -> None:
         """Answer the questions on the long run."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from decimal import Decimal
-from itertools import zip_longest
 from typing import Any, Dict, Iterator, List, Mapping, Optional, Sequence
 
 from gspn_framework_package.analysis.plan.reading import RUN
@@ -37,29 +36,30 @@ def analysis_text(data: Mapping[str, Any]) -> Iterator[str]:
         yield from _reach_text(entry, "coverable")
     spans = data.get("intervals") or {}
     if data.get("steady_state"):
-        yield from _steady_text(data["steady_state"], spans.get("steady_state", {}))
+        yield from _steady_text(data["steady_state"], spans)
     yield from _titled_text(data, Part.TIMING)
     if data.get("time_to_steady_state") is not None:
         yield "time to steady state: %s s" % _number(data["time_to_steady_state"])
-    for entry, span in zip_longest(data.get("transient") or (), spans.get("transient", ())):
-        of = span or {}
-        tokens = _map(entry["mean_tokens"], of.get("mean_tokens"))
+    for i, entry in enumerate(data.get("transient") or ()):
+        tokens, rates = (
+            _map(entry[of], spans.get("transient.%d.%s" % (i, of)))
+            for of in ("mean_tokens", "throughput")
+        )
         yield "at %g s: mean tokens %s" % (entry["time"], tokens)
-        yield "    throughput (1/s) %s" % _map(entry["throughput"], of.get("throughput"))
-    for entry, span in zip_longest(data.get("mean_time_to") or (), spans.get("mean_time_to", ())):
+        yield "    throughput (1/s) %s" % rates
+    for i, entry in enumerate(data.get("mean_time_to") or ()):
         if entry:
-            of = span or {}
+            ends = spans.get("mean_time_to.%d" % i, {})
             mean, chance = (
-                _number(entry[key]) + _within(of.get(key)) for key in ("mean_time", "probability")
+                _number(entry[of]) + _within(ends.get(of)) for of in ("mean_time", "probability")
             )
             yield "mean time to %s: %s s, probability %s" % (entry["condition"], mean, chance)
-            for within, ends in zip_longest(entry["within"], of.get("within", ())):
-                chance = _number(within["probability"]) + _within(ends)
+            for n, within in enumerate(entry["within"]):
+                chance = _number(within["probability"]) + _within(ends.get("within.%d" % n))
                 yield "    within %g s with probability %s" % (within["time"], chance)
     if spans:
-        yield (
-            "in brackets: what the answers would be within if durations were not replaced "
-            "(estimated; --phases N)"
+        yield "in brackets: what the answers may be, since %s" % " and ".join(
+            data["interval_sources"]
         )
     yield from _undecided_text(data)
 
@@ -254,12 +254,15 @@ def _steady_text(steady: Mapping[str, Any], spans: Mapping[str, Any]) -> Iterato
     yield "    %-32s %14s %14s" % ("place", "mean tokens", "mean wait (s)")
     for place, mean in steady["mean_tokens"].items():
         wait = steady["mean_waiting_time"][place]
-        both = [spans.get(key, {}).get(place) for key in ("mean_tokens", "mean_waiting_time")]
+        both = [
+            spans.get("steady_state." + key, {}).get(place)
+            for key in ("mean_tokens", "mean_waiting_time")
+        ]
         within = "".join(map(_within, both))
         yield "    %-32s %14s %14s%s" % (place, _number(mean), _number(wait), within)
     yield "    %-32s %14s" % ("transition", "throughput 1/s")
     for transition, value in steady["throughput"].items():
-        within = _within(spans.get("throughput", {}).get(transition))
+        within = _within(spans.get("steady_state.throughput", {}).get(transition))
         yield "    %-32s %14s%s" % (transition, _number(value), within)
     for measure, errors in steady.get("unsure", {}).items():
         for name, error in errors.items():
@@ -271,7 +274,7 @@ def _steady_text(steady: Mapping[str, Any], spans: Mapping[str, Any]) -> Iterato
     if "reward" in steady:
         yield "    reward per second: %s%s" % (
             _number(steady["reward"]),
-            _within(spans.get("reward")),
+            _within(spans.get("steady_state", {}).get("reward")),
         )
 
 

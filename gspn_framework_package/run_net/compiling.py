@@ -89,7 +89,7 @@ def compile_plan(
     :param plan: a validated plan.
     :param timing: its durations and outcomes; None: the classical reading.
     :param phases: place -> the most phases of each duration there. With one for each, the same
-        markings are reached in far fewer states.
+        markings are reached in far fewer states; with none, the action takes no time.
     :param exponential: whether each duration is exponential with its mean, so that no place is
         split for its duration alone; whether an attempt fails still follows from the true one.
     :param left_out: resource places that nothing reads; None: all of them.
@@ -152,6 +152,13 @@ class _Compiler:
                     "every robot in %s does what most of them do there, since states do not "
                     "distinguish robots (the simulation does)" % self._net.places[p].name
                 )
+        name = self._net.places[p].name
+        if self._phases.get(name) == 0:
+            self._assumptions.append(
+                "the duration of %s (%s) was replaced by no time, since it is tiny beside others"
+                % (name, team.duration.describe())
+            )
+            team = team._replace(duration=Duration.none())
         asked: Dict[int, float] = {}
         for t, v in team.asks:
             asked[t] = asked.get(t, 0) + v

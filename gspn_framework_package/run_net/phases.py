@@ -24,6 +24,9 @@ from gspn_framework_package.model.duration import Duration
 MOST_PHASES = 200
 """A duration that needs more phases than this is not represented by phases."""
 
+_TINY, _TINY_SHARE = 1e-3, 1e-4
+"""A duration is tiny whose mean is at most so many seconds, and so much of the longest mean."""
+
 _EXPONENTIAL = 1e-9
 """A squared coefficient of variation this close to 1 is that of an exponential duration."""
 
@@ -80,6 +83,16 @@ def number_of_phases(duration: Duration, most: float = math.inf) -> float:
     if abs(c - 1) <= _EXPONENTIAL:
         return 1
     return 2 if c > 1 else math.ceil(1 / c - _EXPONENTIAL)
+
+
+def is_tiny(duration: Duration, longest: float) -> bool:
+    """Whether a duration that is not made of phases is so short that it can be taken as no time.
+
+    :param longest: the longest mean of a duration (s).
+    """
+    if duration.branches is not None or duration.mean == 0:
+        return False
+    return duration.mean <= min(_TINY, _TINY_SHARE * longest)
 
 
 def phases_of(duration: Duration, most: float = MOST_PHASES) -> Phases:
