@@ -168,18 +168,19 @@ export class Camera {
     const around = this.view.nodes.length < CULL ? 0 : AROUND;
     if (around !== this.around) this.view.container.style.setProperty("--around", `${around}px`);
     this.around = around;
-    const at = [x, y].map((value) => (value + around).toFixed(1)).join(" ");
-    const transform = `translate(${at}) scale(${k.toFixed(4)})`;
-    for (const layer of this.view.moving) layer.setAttribute("transform", transform);
-    this.move();
-    this.cull(true);
-    this.view.container.classList.toggle("far", k < FAR);
-    this.view.arcs.zoomed(k);
-    this.minimap.rest();
     // inherited by every element below; changed in steps, so that not every zoom step restyles all of them
     const bold = 2 ** (Math.round(2 * Math.log2(Math.max(1, THIN / k))) / 2);
     if (bold !== this.bold) this.view.container.style.setProperty("--bold", bold.toFixed(2));
     this.bold = bold;
+    this.view.container.classList.toggle("far", k < FAR);
+    const at = [x, y].map((value) => (value + around).toFixed(1)).join(" ");
+    const transform = `translate(${at}) scale(${k.toFixed(4)})`;
+    for (const layer of this.view.moving) layer.setAttribute("transform", transform);
+    this.view.arcs.zoomed(k);
+    // what follows measures the page, which computes all of the styles above
+    this.move();
+    this.cull(true);
+    this.minimap.rest();
   }
 
   /** Show the nodes that are in view or close to it; `hide`: and no others. */
