@@ -170,7 +170,7 @@ TOOLS = {
         (
             *("robots", "only-net", "rates", "timing", *_INPUT),
             *("query", "at", "reach", "cover", "mean-time-to", "reward", "time-to-steady-state"),
-            *("no-structure", "no-time", *_EFFORT, "engine", "symbolic", "lump"),
+            *("no-structure", "no-time", *_EFFORT, "engine", "symbolic", "lump", "phases"),
         ),
         {"plan": _PLAN, "may_wait": _MAY_WAIT},
         answer={
@@ -186,6 +186,7 @@ TOOLS = {
             "reach?": OBJECTS,
             "cover?": OBJECTS,
             "steady_state?": or_null(OBJECT),
+            "intervals?": described_as(OBJECT, "what answers about time may be"),
             "queries?": OBJECTS,
             "undecided?": described_as(map_to(TEXT), "what could not be decided -> why"),
             "notes?": NAMES,
