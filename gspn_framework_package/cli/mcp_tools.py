@@ -364,10 +364,7 @@ class PlanTools:
             words.append("--against=" + self._path(fields.pop("against")))
         if name == "check":
             words += _modules()
-        if name in (
-            "analyse",
-            "optimise",
-        ):  # these return partial results when a part takes too long
+        if name in ("analyse", "optimise"):  # which return partial results when a part takes long
             words.append("--limit-time=%g" % (seconds / PARTS))
         if output:
             words.append("--output=" + output)
