@@ -157,6 +157,11 @@ class _Search:
         self._last = drift_range(self._model, values, states)
         return self._accept(values, *self._last)
 
+    def _spread(self) -> float:
+        """How far the last values are from the solution of the equations."""
+        low, high = self._last
+        return high - low if self._long_run else max(abs(low), abs(high))
+
     # -- sweeps ------------------------------------------------------------------------------------
 
     def _swept(self, values: Floats, most: int) -> Tuple[Floats, bool]:
@@ -167,7 +172,8 @@ class _Search:
         pace = 1.0 / (_STRIDE * float(times.mean())) if long_run and len(times) else 1.0
         weight = math.sqrt(size) / pace
         values = values.copy()
-        best, best_spread, best_at = values, math.inf, 0
+        best, best_spread = values, math.inf
+        halved, halved_at = math.inf, 0
         to_and_fro = False
         for stride in range(1, most // _STRIDE + 1):
             image = values.copy()
@@ -178,17 +184,16 @@ class _Search:
                 kept = image.copy()
                 if self._good(kept):
                     return kept, True
-                low, high = self._last
-                spread = high - low if long_run else max(abs(low), abs(high))
-                if spread < 0.5 * best_spread:
-                    best_at = stride
+                spread = self._spread()
+                if spread < 0.5 * halved:
+                    halved, halved_at = spread, stride
                 if spread < best_spread:
                     best, best_spread = kept, spread
-                waited = stride - best_at
+                waited = stride - halved_at
                 if waited > _PATIENCE * _CHECKED:
                     break
                 if waited > _ONE_WAY * _CHECKED and not to_and_fro:
-                    to_and_fro, best_at = True, stride
+                    to_and_fro, halved_at = True, stride
                 if not math.isfinite(spread) or spread > 1e4 * best_spread:
                     accelerated.forget()
                     values = best.copy()
@@ -237,7 +242,7 @@ class _Search:
             return self._found(values, "policy iteration", rounds)
         raise LimitError(
             "the bounds did not come close enough: the equations hold to %.1e only, after %d "
-            "sweeps and %d policies" % (max(map(abs, self._last)), self._sweeps, rounds),
+            "sweeps and %d policies" % (self._spread(), self._sweeps, rounds),
             hint="ask for a wider interval",
         )
 
