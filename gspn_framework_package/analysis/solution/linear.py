@@ -327,7 +327,8 @@ def iterate(
     point, best = vector(size), vector(size)
     for part in parts(size):
         point[part] = best[part] = image[part]
-    best_residual, best_at = float("inf"), 0
+    best_residual = float("inf")
+    halved, halved_at = best_residual, 0
     unchecked = 0
     for stride in range(1, MAX_SWEEPS // _STRIDE + 1):
         for part in parts(size):
@@ -346,13 +347,13 @@ def iterate(
         if changed <= 2 * tolerance or unchecked >= _CHECKED:
             unchecked = 0
             now = residual_of(image)
-            if now < 0.5 * best_residual:
-                best_at = stride
+            if now < 0.5 * halved:
+                halved, halved_at = now, stride
             if now < best_residual:
                 best_residual = now
                 for part in parts(size):
                     best[part] = image[part]
-            if now <= tolerance or (best_residual <= 1e-11 and stride - best_at >= _PATIENCE):
+            if now <= tolerance or (best_residual <= 1e-11 and stride - halved_at >= _PATIENCE):
                 break
             if not np.isfinite(now) or now > 1e6 * best_residual:
                 accelerated.forget()
