@@ -16,7 +16,7 @@ each duration, relative to their mean, is added.
 from __future__ import annotations
 
 import math
-from typing import Any, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from gspn_framework_package.analysis.report_measures import Part
 from gspn_framework_package.analysis.solution.steady_state import steady_state
 from gspn_framework_package.model.errors import LimitError, RefusedError
 from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.run_net.compiling import one_phase_each
 from gspn_framework_package.run_net.run_net import State
 from gspn_framework_package.run_net.size import PhasesOfDurations
 
@@ -77,10 +78,12 @@ def add_intervals(analysis: Analysis, data: Dict[str, Any], questions: Questions
     """Add to a report the ``intervals`` that are due to the phases of durations, if they are not
     represented exactly, and to the logs that a plan was learned from, with ``interval_sources``:
     what they hold, in words for people."""
-    plan, space = analysis.plan, analysis.space
-    if plan is None or not isinstance(space, PlanSpace) or not space.complete or space.refusal:
+    plan, here = analysis.plan, _tables(data)
+    if plan is None or not here:
         return
-    here = _tables(data)
+    space = analysis.space
+    if not isinstance(space, PlanSpace) or not space.complete or space.refusal:
+        return
 
     def answers(of: Plan, phases: Mapping[str, float]) -> Dict[str, Dict[str, float]]:
         other = Analysis(
@@ -100,26 +103,29 @@ def add_intervals(analysis: Analysis, data: Dict[str, Any], questions: Questions
 
     halves = {key: dict.fromkeys(table, 0.0) for key, table in here.items()}
     sources = []
-    if here and space.fewer_phases:
+    if space.fewer_phases:
         sources.append("durations are replaced")
         there = answers(plan, space.fewer_phases)
-        for key, name, v in _entries(here):
-            halves[key][name] = _HALF_WIDTH * _change(key, name, v, here[key], there.get(key, {}))
-    single = dict.fromkeys(plan.action_places, 1.0)
-    draws = min(_MOST_DRAWS, _DRAWN_STATES // len(space.distinct(np.arange(len(space)))))
-    if here and is_uncertain(plan) and draws >= _FEWEST_DRAWS:
+        for key, table in here.items():
+            for name, change in _changes(key, table, there.get(key, {})).items():
+                halves[key][name] = _HALF_WIDTH * change
+    draws = 0
+    if is_uncertain(plan):
+        draws = min(_MOST_DRAWS, _DRAWN_STATES // len(space.distinct(np.arange(len(space)))))
+    if draws >= _FEWEST_DRAWS:
         sources.append("the logs that values were learned from are short")
         generator = np.random.Generator(np.random.PCG64(0))
+        single = one_phase_each(plan)
         drawn = [
             answers(draw_parameters(plan, generator).apply(plan), single) for _ in range(draws)
         ]
         times = student(0.975, draws - 1) * math.sqrt(1 + 1 / draws)
-        for key, name, v in _entries(here):
-            found = [table[key][name] for table in drawn if name in table.get(key, {})]
-            if len(found) == draws and any(found):
-                halves[key][name] += (
-                    times * float(np.std(found, ddof=1) / abs(np.mean(found))) * abs(v)
-                )
+        for key, table in here.items():
+            for name, v in table.items():
+                found = [other[key][name] for other in drawn if name in other.get(key, {})]
+                if len(found) == draws and any(found):
+                    relative = float(np.std(found, ddof=1) / abs(np.mean(found)))
+                    halves[key][name] += times * relative * abs(v)
     if sources:
         data["interval_sources"] = sources
         data["intervals"] = {
@@ -151,24 +157,18 @@ def _tables(data: Mapping[str, Any]) -> Dict[str, Dict[str, float]]:
     }
 
 
-def _entries(tables: Mapping[str, Mapping[str, float]]) -> Iterator[Tuple[str, str, float]]:
-    for key, table in tables.items():
-        for name, value in table.items():
-            yield key, name, value
-
-
-def _change(
-    key: str, name: str, value: float, here: Mapping[str, float], there: Mapping[str, float]
-) -> float:
-    """How much fewer phases change an answer, or its table as a whole; infinite: not known."""
-    if name not in there:
-        return math.inf
+def _changes(key: str, here: Mapping[str, float], there: Mapping[str, float]) -> Dict[str, float]:
+    """How much fewer phases change each answer of a table, or the table as a whole; infinite: not
+    known."""
+    both = [(v, there[name]) for name, v in here.items() if name in there]
+    total = sum(abs(v) for v, _ in both)
     share = 0.0
-    if not key.startswith("mean_time_to"):
-        both = [(v, there[other]) for other, v in here.items() if other in there]
-        total = sum(abs(v) for v, _ in both)
-        share = sum(abs(v - w) for v, w in both) / total if total else 0.0
-    return max(abs(value - there[name]), share * abs(value))
+    if total and not key.startswith("mean_time_to"):
+        share = sum(abs(v - w) for v, w in both) / total
+    return {
+        name: max(abs(v - there[name]), share * abs(v)) if name in there else math.inf
+        for name, v in here.items()
+    }
 
 
 def _ends(name: str, value: float, half: float) -> Optional[List[float]]:

@@ -76,6 +76,11 @@ _ROUNDING = 1e-15
 """A probability below this is a rounding error."""
 
 
+def one_phase_each(plan: Plan) -> Dict[str, float]:
+    """Of :func:`compile_plan`: one phase for each duration."""
+    return dict.fromkeys(plan.action_places, 1.0)
+
+
 def compile_plan(
     plan: Plan,
     timing: Optional[PlanTiming],

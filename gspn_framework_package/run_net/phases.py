@@ -101,8 +101,7 @@ def phases_of(duration: Duration, most: float = MOST_PHASES) -> Phases:
     :param most: the most phases, where two exponential ones count as the inverse of their squared
         variation: with 1/2, the time varies as much as two exponential ones with c = 2.
     """
-    exact = duration.branches is not None and number_of_phases(duration) <= most
-    if duration.branches is not None and exact:
+    if duration.branches is not None and number_of_phases(duration) <= most:
         start: List[Tuple[int, float]] = []
         rates: List[float] = []
         following: List[int] = []

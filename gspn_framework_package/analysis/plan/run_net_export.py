@@ -14,7 +14,7 @@ from gspn_framework_package.analysis.plan.reading import (
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import PlanTiming
-from gspn_framework_package.run_net.compiling import compile_plan
+from gspn_framework_package.run_net.compiling import compile_plan, one_phase_each
 from gspn_framework_package.run_net.literal import LiteralNet, literal_net
 from gspn_framework_package.run_net.phases import MOST_PHASES
 from gspn_framework_package.run_net.size import PhasesOfDurations
@@ -30,7 +30,7 @@ def run_net_of(plan: Plan, reading: str = RUN) -> Tuple[LiteralNet, List[str]]:
     timing = None if checked_reading(reading) == NET else PlanTiming(plan)
     if timing is not None and timing.differing:
         raise RefusedError(timing.differing, element="the run net of '%s'" % plan.name)
-    run_net = compile_plan(plan, timing, phases=dict.fromkeys(plan.action_places, 1))
+    run_net = compile_plan(plan, timing, phases=one_phase_each(plan))
     if timing is None:
         notes = net_notes(plan).assumptions
     else:

@@ -25,7 +25,7 @@ from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import PlanTiming
-from gspn_framework_package.run_net.compiling import compile_plan
+from gspn_framework_package.run_net.compiling import compile_plan, one_phase_each
 from gspn_framework_package.run_net.phases import MOST_PHASES, is_tiny
 from gspn_framework_package.run_net.run_net import State
 from gspn_framework_package.run_net.size import PhasesOfDurations
@@ -188,13 +188,12 @@ def explore_plan(
     """
     room = Allowance(memory, time.monotonic() + seconds)
     work = _Exploration(limit, Watch(progress, cancel), room, seconds)
-    single = dict.fromkeys(plan.action_places, 1.0)
     untimed: Dict[str, float] = {}
     if timing is not None and phases is not None:
         durations = {plan.net.places[p].name: one.duration for p, one in timing.places.items()}
         longest = max((duration.mean for duration in durations.values()), default=0.0)
         untimed = {name: 0.0 for name, one in durations.items() if is_tiny(one, longest)}
-    run_net = compile_plan(plan, timing, phases={**single, **untimed})
+    run_net = compile_plan(plan, timing, phases={**one_phase_each(plan), **untimed})
     if timing is None:
         return work.explore(Steps(run_net), net_notes(plan))
     notes = run_notes(plan, timing, dict(run_net.splits), list(run_net.assumptions))
