@@ -12,14 +12,14 @@ import argparse
 import json
 import os
 import random
-import resource
 import statistics
 import subprocess
 import sys
 import tempfile
-import time
-from typing import Any, Iterator, List, Optional, Sequence, Tuple
+from typing import Iterator, List, Optional, Sequence, Tuple
 
+from benchmarks.command import run_command
+from benchmarks.harness.processes import run_verb
 from benchmarks.machine import machine_line, table
 from gspn_framework_package.formats.plan_json import plan_to_json
 from gspn_framework_package.model.action import FunctionAction
@@ -72,28 +72,17 @@ def generated(seed: int) -> Plan:
     ).validate()
 
 
-def _gspn(*words: str) -> Tuple[Any, float, float]:
-    """What a verb prints as JSON, its processor time (s), and the largest memory of a process so
-    far (MB)."""
-    command = [sys.executable, "-m", "gspn_framework_package", *words, "--json"]
-    begin = os.times()
-    done = subprocess.run(command, stdout=subprocess.PIPE, check=False)
-    end = os.times()
-    used = end.children_user + end.children_system - begin.children_user - begin.children_system
-    memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3
-    return json.loads(done.stdout), used, memory
-
-
 def compared(plan: str, seconds: float = 5_000.0, runs: int = 200) -> List[object]:
     """A row of the table: a plan file, analysed and simulated."""
-    begin = time.monotonic()
-    exact, used, memory = _gspn("analyse", plan)
-    wall = time.monotonic() - begin
-    asked = ("--time", str(seconds), "--warmup", str(seconds / 10), "--replications", str(runs))
-    simulated, _, _ = _gspn("simulate", plan, *asked, "--confidence", "0.99")
+    done = run_verb("analyse", plan, "--json")
+    exact = json.loads(done.output)
+    took = [round(done.wall_seconds, 1), round(done.cpu_seconds, 1), round(done.peak_mb)]
+    length = ["--time", str(seconds), "--warmup", str(seconds / 10)]
+    asked = ["simulate", plan, *length, "--replications", str(runs), "--confidence", "0.99"]
+    simulated = json.loads(run_verb(*asked, "--json").output)
     steady = exact["steady_state"]
     if steady is None:
-        return [plan, "-", round(wall, 1), round(used, 1), round(memory), "none", "", ""]
+        return [plan, "-", *took, "none", "", ""]
     spans = exact.get("intervals", {})
     widths, inside, overlapping = [], 0, 0
     for key in ("mean_tokens", "throughput"):
@@ -110,9 +99,7 @@ def compared(plan: str, seconds: float = 5_000.0, runs: int = 200) -> List[objec
     return [
         exact["name"],
         exact["states"]["total"],
-        round(wall, 1),
-        round(used, 1),
-        round(memory),
+        *took,
         "%d of %d" % (overlapping, len(widths)),
         inside,
         "%.2g %%" % (100 * statistics.median(widths)),
@@ -156,20 +143,11 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
             target = os.path.join(folder, "fitted_%d.json" % seed)
             rows.append(compared(fitted(plan, log, seed, target)))
             print(rows[-1], file=sys.stderr)
-    head = (
-        "plan",
-        "states",
-        "s",
-        "s of a processor",
-        "MB so far",
-        "contain",
-        "strictly",
-        "half width",
-    )
-    print(table(head, rows))
+    took = ("s", "s of a processor", "MB")
+    print(table(("plan", "states", *took, "contain", "strictly", "half width"), rows))
     print(machine_line())
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_command("few_phases", main)

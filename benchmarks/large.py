@@ -8,14 +8,12 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import Any, Dict
 
-from benchmarks.harness.processes import peak_mb
+from benchmarks.harness.processes import run_verb
 from benchmarks.large_nets import LARGE
 from gspn_framework_package.formats import write_net
 
@@ -39,21 +37,13 @@ def main() -> int:
 
 def _measure(name: str) -> None:
     net = LARGE[name]()
-    answers: Dict[str, Any] = {"states": None, "undecided": {"all": "it failed"}}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "net.pnml"
         write_net(net, path)
-        begin = time.monotonic()
-        with (Path(folder) / "answers.json").open("w+", encoding="utf-8") as out:
-            process = subprocess.Popen(
-                [sys.executable, "-m", "gspn_framework_package", "analyse", str(path), "--json"],
-                stdout=out,
-            )
-            _, status, usage = os.wait4(process.pid, 0)
-            wall = time.monotonic() - begin
-            out.seek(0)
-            if status == 0:
-                answers = json.load(out)
+        done = run_verb("analyse", str(path), "--json")
+    answers: Dict[str, Any] = {"states": None, "undecided": {"all": "it failed"}}
+    if done.code == 0:
+        answers = json.loads(done.output)
     states = answers["states"]
     print(
         "| %s | %s | %s | %s | %.1f | %.1f | %.0f | %s |"
@@ -62,9 +52,9 @@ def _measure(name: str) -> None:
             format(len(net.places), ","),
             format(len(net.transitions), ","),
             format(states["total"], ",") if states else "-",
-            usage.ru_utime + usage.ru_stime,
-            wall,
-            peak_mb(usage),
+            done.cpu_seconds,
+            done.wall_seconds,
+            done.peak_mb,
             ", ".join(key.replace("_", " ") for key in answers["undecided"]) or "-",
         ),
         flush=True,

@@ -3,8 +3,12 @@ and exact figures per process."""
 
 from __future__ import annotations
 
+import os
 import resource
 import signal
+import subprocess
+import sys
+import tempfile
 import time
 from typing import Dict, Iterable, List, NamedTuple, Optional
 
@@ -39,6 +43,32 @@ def peak_mb(usage: Optional[resource.struct_rusage] = None) -> float:
     """
     used = usage or resource.getrusage(resource.RUSAGE_SELF)
     return used.ru_maxrss * 1024 / 1e6
+
+
+class Verb(NamedTuple):
+    """What a verb of ``gspn`` printed and took. ``code``: its exit code; ``output``: of its
+    standard output; ``cpu_seconds``, ``wall_seconds``: with its start; ``peak_mb``: see
+    :func:`peak_mb`."""
+
+    code: int
+    output: str
+    cpu_seconds: float
+    wall_seconds: float
+    peak_mb: float
+
+
+def run_verb(*words: str) -> Verb:
+    """Run ``gspn WORDS`` as a process of its own, to its end."""
+    begin = time.monotonic()
+    with tempfile.TemporaryFile("w+", encoding="utf-8") as out:
+        command = [sys.executable, "-m", "gspn_framework_package", *words]
+        process = subprocess.Popen(command, stdout=out)
+        _, status, usage = os.wait4(process.pid, 0)
+        wall = time.monotonic() - begin
+        process.returncode = -os.WTERMSIG(status) if os.WIFSIGNALED(status) else status >> 8
+        out.seek(0)
+        cpu = usage.ru_utime + usage.ru_stime
+        return Verb(process.returncode, out.read(), cpu, wall, peak_mb(usage))
 
 
 def machine_load(period: float) -> MachineLoad:
