@@ -128,14 +128,16 @@ def add_intervals(analysis: Analysis, data: Dict[str, Any], questions: Questions
                     halves[key][name] += times * relative * abs(v)
     if sources:
         data["interval_sources"] = sources
-        data["intervals"] = {
+        ends = {
             key: {name: _ends(name, v, halves[key][name]) for name, v in table.items()}
             for key, table in here.items()
         }
+        data["intervals"] = {key: of.get("", of) for key, of in ends.items()}
 
 
 def _tables(data: Mapping[str, Any]) -> Dict[str, Dict[str, float]]:
-    """The answers about time of a report: what they are of -> name -> number."""
+    """The answers about time of a report: what they are of -> name -> number. The name of an answer
+    that is a number by itself is empty."""
     found: Dict[str, Dict[str, Any]] = {}
     parts: List[Tuple[str, Any]] = [("steady_state", data.get("steady_state"))]
     parts += [("transient.%d" % i, part) for i, part in enumerate(data.get("transient") or ())]
@@ -143,7 +145,9 @@ def _tables(data: Mapping[str, Any]) -> Dict[str, Dict[str, float]]:
         found.update(("%s.%s" % (key, of), part[of]) for of in _TABLES if of in (part or ()))
         if part and "reward" in part:
             found[key] = {"reward": part["reward"]}
-    found.update((key, data[key]) for key, _ in titled(data, Part.TIMING) if data[key])
+    for key, _ in titled(data, Part.TIMING):
+        value = data[key]
+        found[key] = value if isinstance(value, dict) else {"": value}
     for i, passage in enumerate(data.get("mean_time_to") or ()):
         if passage:
             within = {
@@ -151,10 +155,15 @@ def _tables(data: Mapping[str, Any]) -> Dict[str, Dict[str, float]]:
             }
             first = {key: passage[key] for key in ("mean_time", "probability")}
             found["mean_time_to.%d" % i] = {**first, **within}
-    return {
-        key: {name: v for name, v in table.items() if isinstance(v, (int, float))}
+    numbers = {
+        key: {
+            name: v
+            for name, v in table.items()
+            if isinstance(v, (int, float)) and not isinstance(v, bool)
+        }
         for key, table in found.items()
     }
+    return {key: table for key, table in numbers.items() if table}
 
 
 def _changes(key: str, here: Mapping[str, float], there: Mapping[str, float]) -> Dict[str, float]:
@@ -175,6 +184,6 @@ def _ends(name: str, value: float, half: float) -> Optional[List[float]]:
     """The ends of an interval; None: there is none."""
     if math.isinf(half):
         return None
-    low = value - half if name == "reward" else max(value - half, 0.0)
+    low = value - half if name in ("", "reward") else max(value - half, 0.0)
     chance = name == "probability" or name.startswith("within.")
     return [low, min(value + half, 1.0) if chance else value + half]

@@ -67,15 +67,15 @@ def analysis_text(data: Mapping[str, Any]) -> Iterator[str]:
 def _titled_text(data: Mapping[str, Any], part: Part) -> Iterator[str]:
     """Yield the measures of a part that have a title but no special layout."""
     for key, title in titled(data, part):
-        value = data[key]
+        value, span = data[key], (data.get("intervals") or {}).get(key)
         if isinstance(value, dict):
-            yield "%s: %s" % (title, _map(value, (data.get("intervals") or {}).get(key)))
+            yield "%s: %s" % (title, _map(value, span))
         elif isinstance(value, list):
             yield "%s: %s" % (title, _some([str(entry) for entry in value]) or "none")
         elif value is None or isinstance(value, bool):
             yield "%s: %s" % (title, _answer(value))
         else:
-            yield "%s: %s" % (title, _number(value))
+            yield "%s: %s%s" % (title, _number(value), _within(span))
 
 
 def _undecided_text(data: Mapping[str, Any]) -> Iterator[str]:

@@ -277,6 +277,25 @@ def test_a_measure_is_in_the_text_the_json_and_the_csv(toy_measures, tmp_path, c
     assert data["titles"]["timing"] == {"busy": "share of time in repair"}
 
 
+def test_a_measure_that_is_a_number_has_an_interval(toy_measures, tmp_path, capsys):
+    machine(tmp_path)
+    learned = {"mean": 3.0, "of": {"observations": 20, "logs": ["a.jsonl"]}}
+    plan = {
+        "net": "machine.xml",
+        "actions": {"up": {"command": ["true"]}},
+        "durations": {"up": learned},
+    }
+    (tmp_path / "plan.json").write_text(json.dumps(plan))
+    words = ["analyse", str(tmp_path)]
+    assert dispatcher.main([*words, "--json"]) == 0, capsys.readouterr()
+    data = json.loads(capsys.readouterr().out)
+    low, high = data["intervals"]["busy"]
+    assert low < data["busy"] < high
+    assert dispatcher.main(words) == 0
+    shown = "share of time in repair: %.6g (%.6g to %.6g)" % (data["busy"], low, high)
+    assert shown in capsys.readouterr().out
+
+
 def test_a_measure_that_is_not_decided_has_its_reason(toy_measures, tmp_path, capsys):
     assert dispatcher.main(["analyse", machine(tmp_path), "--json", "--limit", "1"]) == 1
     data = json.loads(capsys.readouterr().out)
