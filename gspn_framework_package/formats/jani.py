@@ -31,8 +31,24 @@ def to_bytes(net: Net, bounds: Mapping[str, int] = {}) -> bytes:
 
     :param bounds: the maximum number of tokens of places, where known; symbolic engines need it.
     """
-    document = _Writer(net, bounds).document()
-    return (json.dumps(document, indent=1, ensure_ascii=False) + "\n").encode("utf-8")
+    return (_text(_Writer(net, bounds).document(), 4) + "\n").encode("utf-8")
+
+
+def _text(value: Any, levels: int, indent: str = "\n") -> str:
+    """The JSON of a value, with lines for so many levels of nesting. An edge is one line: the file
+    of a net whose conditions are long would be spaces for the most part."""
+    if not levels or not value or not isinstance(value, (dict, list)):
+        return json.dumps(value, ensure_ascii=False)
+    inside = indent + " "
+    if isinstance(value, list):
+        ends, members = "[]", [_text(item, levels - 1, inside) for item in value]
+    else:
+        ends = "{}"
+        members = [
+            "%s: %s" % (json.dumps(key), _text(item, levels - 1, inside))
+            for key, item in value.items()
+        ]
+    return ends[0] + inside + ("," + inside).join(members) + indent + ends[1]
 
 
 class _Writer:
@@ -216,7 +232,7 @@ def _any(terms: Sequence[_Term]) -> _Term:
 
 
 def _joined(operator: str, terms: Sequence[_Term]) -> _Term:
-    """Join many terms in a balanced tree, since every level is indented further."""
+    """Join many terms in a balanced tree: readers of deep ones may overflow their stack."""
     if len(terms) < 3:
         return reduce(lambda a, b: _operation(operator, a, b), terms)
     half = (len(terms) + 1) // 2
