@@ -18,6 +18,7 @@ the run.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import List, Mapping, Sequence, Set, Tuple
@@ -106,14 +107,15 @@ class RunNet(PlanRules):
 
     def marking(self, state: State) -> Marking:
         """The marking of a state: all robots of each place."""
-        counts = [state[first] for first, _ in self.parts]
-        for p, first, end in self._split_parts:
-            counts[p] = sum(state[first:end])
+        counts = [0] * len(self.parts)
+        places = self._place_of
+        for column in itertools.compress(range(len(state)), state):
+            counts[places[column]] += state[column]
         return tuple(counts)
 
     @cached_property
-    def _split_parts(self) -> List[Tuple[int, int, int]]:
-        return [(p, first, end) for p, (first, end) in enumerate(self.parts) if end - first > 1]
+    def _place_of(self) -> List[int]:
+        return [p for p, (first, end) in enumerate(self.parts) for _ in range(first, end)]
 
     def is_over(self, marking: Marking) -> bool:
         """Whether ``until`` holds, so that the run ends."""

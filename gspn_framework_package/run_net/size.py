@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Dict, List, Mapping, Sequence, Tuple
 
 import numpy as np
 
 from gspn_framework_package.run_net.columns import TimedAttempt
-from gspn_framework_package.run_net.phases import MOST_PHASES, number_of_phases, phases_of
+from gspn_framework_package.run_net.phases import (
+    MOST_PHASES,
+    Phases,
+    number_of_phases,
+    phases_of,
+)
 from gspn_framework_package.run_net.run_net import RunNet, State
 
 _MATTERS, _NEGLIGIBLE = 1e-2, 1e-4
@@ -46,6 +52,7 @@ class PhasesOfDurations:
         :param most: place -> the most phases of each duration there.
         """
         found = []
+        distance = lru_cache(maxsize=None)(Phases.distance)
         for p, attempt, count in self._many:
             name = self._run_net.net.places[p].name
             phases = phases_of(attempt.duration, most.get(name, MOST_PHASES))
@@ -61,7 +68,7 @@ class PhasesOfDurations:
                         " and variance" if alike else "",
                         phases.matched
                         + ("" if alike else ", variation %.3g instead of %.3g" % (now, before)),
-                        phases.distance(attempt.duration),
+                        distance(phases, attempt.duration),
                     )
                 )
         return list(dict.fromkeys(found))

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from operator import itemgetter
 from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 import numpy as np
@@ -46,7 +47,24 @@ class RunStep(NamedTuple):
 
 
 _BLOCK = 1 << 12
-"""Number of states whose counts are in one array, as eight bytes each."""
+"""Number of states whose counts are in one array, as at most eight bytes each."""
+
+
+def _rows(states: Sequence[State]) -> np.ndarray:
+    """The counts of states, one row each."""
+    try:
+        counts = np.frombuffer(b"".join(map(bytes, states)), dtype=np.uint8)
+    except ValueError:  # more than 255 in a column
+        counts = np.array(states, dtype=np.int64)
+    return counts.reshape(len(states), -1)
+
+
+def _counts_in(columns: Sequence[int]) -> Callable[[State], Sequence[int]]:
+    """A function that returns the counts in some columns of a state: a plan with many phases has
+    hundreds, most of them empty."""
+    if len(columns) > 1:
+        return itemgetter(*columns)
+    return lambda state: [state[column] for column in columns]
 
 
 class Steps:
@@ -74,6 +92,7 @@ class Steps:
             for p, c in run_net.columns.items()
             for column in (*c.named.values(), *c.at_policy)
         ]
+        self._counts_waiting = _counts_in([column for column, _ in self._waiting])
         # where robots at the policy go when the marking changes, and when they have drawn nothing
         asked = [c for c in run_net.columns.values() if c.asking >= 0]
         self._draws_end = [
@@ -89,6 +108,7 @@ class Steps:
             for attempt in c.attempts
             for phase in zip(attempt.columns, attempt.rates, attempt.following)
         ]
+        self._counts_working = _counts_in([column for _, column, _, _ in self._working])
         self._settled: Dict[State, State] = {}
         # of states that are not expanded yet: the steps of vanishing ones, the markings of others
         self._pending: Dict[State, List[RunStep]] = {}
@@ -114,7 +134,8 @@ class Steps:
     def markings(self, states: Sequence[State]) -> np.ndarray:
         """The markings of states, one row each."""
         first = self.run_net.first_columns
-        return self._blocks(states, lambda counts: np.add.reduceat(counts, first, axis=1))
+        add = np.add.reduceat
+        return self._blocks(states, lambda counts: add(counts, first, axis=1, dtype=np.int64))
 
     def counts(self, states: Sequence[State], columns: Sequence[int]) -> np.ndarray:
         """The counts in some columns of states, one row each."""
@@ -128,8 +149,7 @@ class Steps:
         found = []
         for first in range(0, len(states), _BLOCK):
             block = [state or start for state in states[first : first + _BLOCK]]
-            counts = np.array(block, dtype=np.int64).reshape(len(block), -1)
-            found.append(of(counts).astype(np.int32))
+            found.append(of(_rows(block)).astype(np.int32))
         return np.concatenate(found)
 
     def _settle(self, state: State) -> State:
@@ -183,14 +203,15 @@ class Steps:
             if state[column]:
                 for t, rate in rates:
                     steps += self._fires(state, t, ((column, 1),), state[column] * rate)
-        for p, column, rate, following in self._working:
+        working = itertools.compress(self._working, self._counts_working(state))
+        for p, column, rate, following in working:
             robots = state[column]
-            if robots and following >= 0:
+            if following >= 0:
                 counts = list(state)
                 counts[column] -= 1
                 counts[following] += 1
                 steps.append(RunStep(tuple(counts), self.ends, robots * rate))
-            elif robots:
+            else:
                 for end in run_net.columns[p].ends[column]:
                     steps += self._ended(state, marking, p, column, end, robots * rate)
         for t, rate, where in run_net.interrupts:
@@ -274,7 +295,7 @@ class Steps:
         """The steps in zero time, but for the ends of actions that take none."""
         net = self._net
         spontaneous = [t for t in self.run_net.spontaneous if net.is_enabled(marking, t)]
-        if not spontaneous and not any(state[column] for column, _ in self._waiting):
+        if not spontaneous and not any(self._counts_waiting(state)):
             return []
         if spontaneous:
             return [

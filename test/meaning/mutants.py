@@ -784,7 +784,7 @@ _TABLE: Sequence[Any] = (
         "chain",
         "robots that are done take no room",
         ["capacities"],
-        (N.marking, "sum(state[first:end])", "state[first]"),
+        (N.marking, "+= state[column]", "+= state[column] * (column in self.first_columns)"),
     ),
     (
         "capacities",
@@ -821,7 +821,7 @@ _TABLE: Sequence[Any] = (
         "chain",
         "robots that are done do not count",
         ["inhibitors"],
-        (N.marking, "sum(state[first:end])", "state[first]"),
+        (N.marking, "+= state[column]", "+= state[column] * (column in self.first_columns)"),
     ),
     (
         "inhibitors",
