@@ -43,20 +43,19 @@ def test_all_statements_agree(family):
     ],
 )
 def test_all_statements_agree_about_weights_and_rates_that_depend_on_the_marking(family):
-    for number in range(3):
-        sample = made(family, 7, number)
-        case = Case(sample._replace(plan=dependent(sample.plan)))
-        for name in (
-            "chain_and_run",
-            "net_and_run",
-            "optimiser_and_run",
-            "optimiser_and_net",
-            "optimum_and_run",
-            "check_and_run",
-            "simulation_and_run",
-            "table_and_run",
-        ):
-            assert not told_by(COMPARISONS[name], case), name
+    sample = made(family, 7, 0)
+    case = Case(sample._replace(plan=dependent(sample.plan)))
+    for name in (
+        "chain_and_run",
+        "net_and_run",
+        "optimiser_and_run",
+        "optimiser_and_net",
+        "optimum_and_run",
+        "check_and_run",
+        "simulation_and_run",
+        "table_and_run",
+    ):
+        assert not told_by(COMPARISONS[name], case), name
 
 
 @pytest.mark.long

@@ -77,8 +77,8 @@ def never_dead(subject, losses=False, **more):
     [
         (bounded_nets(), 120),
         (bounded_nets(max_places=8, max_transitions=12, max_tokens=5), 60),
-        (small_plans(), 90),
-        (with_events(small_plans()), 60),
+        (small_plans(), 40),
+        (with_events(small_plans()), 30),
     ],
     ids=["nets", "larger nets", "plans", "events"],
 )
