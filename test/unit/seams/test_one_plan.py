@@ -123,7 +123,8 @@ def test_other_processes_are_given_it(folder):
 
 
 def test_the_best_policy_never_skips(folder, gspn, tmp_path):
-    words = ["optimise", folder, "--reward", "done=1", "--json", "-o", str(tmp_path / "best.json")]
+    words = ["optimise", folder, "--reward", "done=1", "--simulate", "1", "--json"]
+    words += ["-o", str(tmp_path / "best.json")]
     found = json.loads(gspn(*words))
     assert found["choices"][0]["best"] == {"begin": 1.0}
     assert found["value"] == pytest.approx(IF_BEGUN_ALWAYS)
