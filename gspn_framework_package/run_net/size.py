@@ -81,7 +81,11 @@ class PhasesOfDurations:
 
         :param most: place -> the most phases of each duration there.
         """
-        doing, times = np.unique(self._doing(states), axis=0, return_counts=True)
+        return self._spread(_distinct(self._doing(states)), most)
+
+    def _spread(self, distinct: Tuple[np.ndarray, np.ndarray], most: Mapping[str, float]) -> float:
+        """The same, of the distinct rows of :meth:`_doing` and how often there is each."""
+        doing, times = distinct
         total = times.astype(np.float64)
         for robots, (p, (*_, duration, _), _) in zip(doing.T, self._many):
             k = number_of_phases(duration, most.get(self._run_net.net.places[p].name, math.inf))
@@ -103,7 +107,8 @@ class PhasesOfDurations:
         :param shares: of each, the share of time; all 0: not known.
         :return: place -> the most phases of each duration there.
         """
-        spent = shares @ self._doing(states)
+        doing = self._doing(states)
+        spent, distinct = shares @ doing, _distinct(doing)
         names = [self._run_net.net.places[p].name for p, _, _ in self._many]
         longest = max(visit.duration.mean for visit in self._run_net.timing.values())
         most = dict.fromkeys(names, 1)
@@ -132,7 +137,7 @@ class PhasesOfDurations:
                 most[place] < needs
                 and more[place] <= _ENOUGH
                 and max(wrong(place)) > _NEGLIGIBLE
-                and self.states(states, more) <= limit
+                and self._spread(distinct, more) <= limit
             ):
                 most = more
             else:
@@ -190,6 +195,12 @@ class PhasesOfDurations:
             format(limit, ","),
             takes,
         )
+
+
+def _distinct(rows: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+    """The distinct rows, and how often there is each."""
+    found, times = np.unique(rows, axis=0, return_counts=True)
+    return found, times
 
 
 def _spreadings(robots: int, phases: float) -> float:
