@@ -166,15 +166,14 @@ class FailuresTest(RobotTestCase):
         )
 
         def serve():
-            with open(os.path.join(team.folder, "servers.out"), "ab") as output:
-                return start_node(
-                    "gspn_place_servers",
-                    "/robot_1",
-                    output,
-                    "places",
-                    plan=team.plan,
-                    robot="robot_1",
-                )
+            return start_node(
+                "gspn_place_servers",
+                "/robot_1",
+                os.path.join(team.folder, "servers.out"),
+                "places",
+                plan=team.plan,
+                robot="robot_1",
+            )
 
         servers = serve()
         self.addCleanup(servers.kill)

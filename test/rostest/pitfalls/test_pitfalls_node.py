@@ -221,15 +221,14 @@ class PitfallsTest(RobotTestCase):
                 server_timeout=20.0,
                 actions=ACTIONS.replace("CANCELLED", "__file__ + '.cancelled'"),
             )
-            with open(os.path.join(team.folder, "servers.out"), "ab") as output:
-                servers = start_node(
-                    "gspn_place_servers",
-                    "/robot_1",
-                    output,
-                    "places",
-                    plan=team.plan,
-                    robot="robot_1",
-                )
+            servers = start_node(
+                "gspn_place_servers",
+                "/robot_1",
+                os.path.join(team.folder, "servers.out"),
+                "places",
+                plan=team.plan,
+                robot="robot_1",
+            )
             self.addCleanup(servers.kill)
             robot = team.start()["robot_1"]
             wait_for(

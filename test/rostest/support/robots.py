@@ -7,7 +7,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 import unittest
@@ -16,6 +15,7 @@ import xmlrpc.client
 
 import rosgraph
 import rospy
+from forked import ForkedScript
 from waiting import wait_for
 
 from gspn_framework_package.execution.event_log import read_log
@@ -27,18 +27,12 @@ ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.dirname(os.path.a
 
 
 def start_node(script, namespace, output, name="node", **parameters):
-    """Start one of the package's node scripts as a process."""
+    """Start one of the package's node scripts as a process that writes to the file ``output``."""
     if rospy.has_param("%s/%s" % (namespace, name)):
         rospy.delete_param("%s/%s" % (namespace, name))  # of a node of the same name before
     words = ["_%s:=%s" % (key, json.dumps(value)) for key, value in parameters.items()]
-    return subprocess.Popen(
-        [sys.executable, os.path.join(ROOT, "scripts", script)]
-        + ["__ns:=" + namespace, "__name:=" + name]
-        + words,
-        stdout=output,
-        stderr=subprocess.STDOUT,
-        stdin=subprocess.DEVNULL,
-    )
+    script = os.path.join(ROOT, "scripts", script)
+    return ForkedScript([script, "__ns:=" + namespace, "__name:=" + name, *words], output)
 
 
 class Robot:
@@ -51,18 +45,17 @@ class Robot:
 
     def start(self):
         self.output = os.path.join(self.team.folder, self.name + ".out")
-        with open(self.output, "ab") as output:
-            self.process = start_node(
-                "gspn_executor",
-                self.namespace,
-                output,
-                "executor",
-                plan=self.team.plan,
-                robot=self.name,
-                run=self.team.run,
-                log_dir=self.team.folder,
-                **self.parameters,
-            )
+        self.process = start_node(
+            "gspn_executor",
+            self.namespace,
+            self.output,
+            "executor",
+            plan=self.team.plan,
+            robot=self.name,
+            run=self.team.run,
+            log_dir=self.team.folder,
+            **self.parameters,
+        )
         return self
 
     def signal(self, number):

@@ -4,7 +4,6 @@
 import json
 import os
 import signal
-import subprocess
 import sys
 import urllib.error
 import urllib.request
@@ -37,7 +36,7 @@ class Page:
         self.process = start_node(
             "visualizer_node",
             self.namespace,
-            subprocess.DEVNULL,
+            os.devnull,
             "visualizer",
             plan=self.plan,
             port=self.port,
