@@ -177,6 +177,8 @@ use_workspace() {
     . "$CATKIN_WS/devel/setup.bash"
     set -u
     export PATH=$VENV/bin:$PATH
+    # roslaunch looks for one function of distutils, which a venv would take from setuptools: a third of its start
+    export SETUPTOOLS_USE_DISTUTILS=stdlib
 }
 
 # --- the end
