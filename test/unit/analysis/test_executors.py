@@ -215,6 +215,7 @@ def test_what_a_task_raises_arrives(executor):
     assert str(raised.value) == "task: no 3 (take another)"
 
 
+@pytest.mark.long
 def test_the_task_of_a_killed_worker_is_done_again(executor, tmp_path):
     tasks = [WorkItem(Workload(told, die_once, str(tmp_path)), n) for n in range(12)]
     assert executor.ordered(tasks, "tasks", Watch()) == [10 * n for n in range(12)]

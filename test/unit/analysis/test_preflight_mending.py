@@ -100,6 +100,7 @@ def report(folder, plan):
     return check(read_plan(str(folder))).to_json()["items"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "fault, found, label",
     [

@@ -438,6 +438,7 @@ _JSON = st.recursive(
 )
 
 
+@pytest.mark.long
 @given(_JSON)
 def test_json_is_indented_as_by_the_library(value):
     text = "".join(analyse._json(value, "\n"))
