@@ -2,9 +2,9 @@
 ROS, no files.
 
 ``analyse`` is the entry point: it answers every question about one net or plan. ``report``, with
-the measures listed in ``report_measures``, and ``drawing`` turn the answers into text and pictures,
-``chain_export`` into files for other tools. ``phasing`` chooses phases for durations, and adds the
-intervals of the answers.
+the measures listed in ``report_measures``, ``report_rows`` and ``drawing`` turn the answers into
+text and pictures, ``chain_export`` into files for other tools. ``intervals`` says how far the
+answers may be off.
 Behind it, each folder builds on those before it:
 
 - ``structure``: properties of the arcs alone: invariants, siphons, traps, classes, conflicts;

@@ -38,7 +38,8 @@ import numpy as np
 from gspn_framework_package.analysis.chain.markov_chain import Chain
 from gspn_framework_package.analysis.limits import Limits, states_of, structure_of
 from gspn_framework_package.analysis.plan.reading import NET, RUN, TimingNotes, checked_reading
-from gspn_framework_package.analysis.plan.space import ChoosePhases, PlanSpace, explore_plan
+from gspn_framework_package.analysis.plan.space import PlanSpace, explore_plan
+from gspn_framework_package.analysis.solution.few_phases import phases_for
 from gspn_framework_package.analysis.solution.measures import Measures
 from gspn_framework_package.analysis.solution.passage import Passage, first_passage
 from gspn_framework_package.analysis.solution.steady_state import SteadyState, steady_state
@@ -113,7 +114,8 @@ class Analysis:
     :param lump: visit only one of the markings that differ by an exchange of equal parts of a net;
         see :mod:`~gspn_framework_package.analysis.symmetry.symmetry`. The value lists the
         conditions that will be queried, which no exchange may change. None: visit all markings.
-    :param phases: chooses how many phases the durations of a plan have; None: as many as they need.
+    :param phases: the most phases of each duration of a plan, or of those in each place; None: as
+        few as make a chain, see :func:`~gspn_framework_package.analysis.solution.few_phases`.
     :param progress: called with the progress of long computations.
     :param cancel: called at intervals; returns whether to stop.
 
@@ -131,7 +133,7 @@ class Analysis:
         structure: bool = True,
         engine: str = "auto",
         lump: Optional[Collection[str]] = None,
-        phases: Optional[ChoosePhases] = None,
+        phases: Union[None, int, Mapping[str, float]] = None,
         progress: Optional[Progress] = None,
         cancel: Optional[Cancel] = None,
     ) -> None:
@@ -154,7 +156,8 @@ class Analysis:
         self._by_structure = structure
         self._engine = engine
         self._lump = None if lump is None else tuple(lump)
-        self._phases, self._progress, self._cancel = phases, progress, cancel
+        self._phases = phases_for(phases, self.limit)
+        self._progress, self._cancel = progress, cancel
         self._counters: Tuple[str, ...] = ()  # the places left out of the state space
         self._known_tree: Optional[CoverabilityTree] = None
         self._counts: Optional[MarkingCounts] = None

@@ -13,7 +13,6 @@ from typing import (
     Callable,
     Dict,
     Iterable,
-    Iterator,
     List,
     Mapping,
     NamedTuple,
@@ -25,6 +24,7 @@ import numpy as np
 
 from gspn_framework_package.analysis.analyse import Analysis, Reachability, at_least
 from gspn_framework_package.analysis.chain.markov_chain import Component
+from gspn_framework_package.analysis.intervals import add_intervals
 from gspn_framework_package.analysis.report_measures import (
     INFINITE,
     MEASURES,
@@ -108,9 +108,14 @@ class Questions(NamedTuple):
             check_tolerance(self.settling)
 
 
-def report(analysis: Analysis, questions: Optional[Questions] = None) -> Dict[str, Any]:
+def report(
+    analysis: Analysis,
+    questions: Optional[Questions] = None,
+    before_intervals: Callable[[Dict[str, Any]], None] = lambda _: None,
+) -> Dict[str, Any]:
     """The answers as plain JSON values; see ``docs/analysis.md`` for the keys.
 
+    :param before_intervals: receives the answers before their intervals, which take longer.
     :raises InputError: a condition cannot be parsed, or a name is unknown.
     :raises CancelledError: the work was cancelled.
     """
@@ -133,6 +138,17 @@ def report(analysis: Analysis, questions: Optional[Questions] = None) -> Dict[st
     if questions.settling is not None:
         tolerance = questions.settling
         work.answer("time_to_steady_state", lambda: analysis.time_to_steady_state(tolerance))
+    work.finish()
+    before_intervals(work.data)
+    add_intervals(analysis, work.data, lambda other: _timed(other, questions))
+    return work.data
+
+
+def _timed(analysis: Analysis, questions: Questions) -> Dict[str, Any]:
+    """The part of a report that is about time."""
+    work = ReportWork(analysis)
+    work.basics()
+    work.timed(questions)
     work.finish()
     return work.data
 
@@ -550,50 +566,3 @@ def plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [plain(inner) for inner in value]
     return value
-
-
-def titled(data: Mapping[str, Any], part: Optional[Part] = None) -> Iterator[Tuple[str, str]]:
-    """The measures of a report that have a title, as (key, title); of one part, or of all."""
-    for of_part, titles in data["titles"].items():
-        if part is None or of_part == part.value:
-            yield from titles.items()
-
-
-def rows(data: Mapping[str, Any]) -> Iterator[Tuple[str, str, Any]]:
-    """The numbers of a report as rows (measure, name, value), for CSV."""
-    for key in (
-        "places",
-        "transitions",
-        "arcs",
-        "bounded",
-        "k_safe",
-        "live",
-        "reversible",
-        "conservative",
-    ):
-        yield key, "", data.get(key)
-    for key, _ in titled(data):
-        value = data[key]
-        for name, one in value.items() if isinstance(value, dict) else [("", value)]:
-            yield key, name, one
-    for key in ("states", "bounds", "liveness"):
-        for name, value in (data.get(key) or {}).items():
-            yield key, name, value
-    parts = [("steady_state", data.get("steady_state") or {})]
-    parts += [("transient at %g" % entry["time"], entry) for entry in data.get("transient") or ()]
-    for title, part in parts:
-        for measure in ("mean_tokens", "throughput", "mean_waiting_time"):
-            for name, value in (part.get(measure) or {}).items():
-                yield "%s %s" % (title, measure), name, value
-        for place, counts in (part.get("token_distribution") or {}).items():
-            for count, value in counts.items():
-                yield "%s probability of %s tokens" % (title, count), place, value
-    for entry in data.get("mean_time_to") or ():
-        if entry:
-            yield "mean_time_to", entry["condition"], entry["mean_time"]
-            for within in entry["within"]:
-                yield (
-                    "probability within %g s" % within["time"],
-                    entry["condition"],
-                    within["probability"],
-                )

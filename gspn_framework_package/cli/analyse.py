@@ -15,22 +15,23 @@ from typing import Any, Dict, Iterable, Iterator, List, Tuple, Union
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.on_disk.answers import report_within
-from gspn_framework_package.analysis.phasing import add_intervals, phases_for
 from gspn_framework_package.analysis.plan.reading import READINGS
 from gspn_framework_package.analysis.report import (
     Questions,
     asked_conditions,
     open_questions,
     report,
-    rows,
 )
 from gspn_framework_package.analysis.report_measures import Part, keys_of
+from gspn_framework_package.analysis.report_rows import rows
 from gspn_framework_package.analysis.state_space import ENGINES
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli.analysis_text import analysis_text
 from gspn_framework_package.cli.interrupts import leave
 from gspn_framework_package.cli.limits import (
     LIMIT_OPTIONS,
+    PHASES_OPTION,
+    check_phases,
     limits_of,
     rare_collections,
     working,
@@ -85,10 +86,7 @@ _QUESTIONS: Arguments = {
 _EFFORT: Arguments = {
     **LIMIT_OPTIONS,
     **MEMORY_OPTIONS,
-    Argument("--phases", "N", int): (
-        "at most N exponential phases for each duration of a plan (default: as many as make about "
-        "100,000 states); docs/analysis.md"
-    ),
+    **PHASES_OPTION,
     choice("--engine", ENGINES, "auto"): "the engine that explores (default: auto)",
     "--symbolic": (
         "count the markings of a net without visiting them: their number, largest counts, dead "
@@ -152,7 +150,7 @@ def _run(args: argparse.Namespace) -> int:
                 structure=questions.structure,
                 engine=args.engine,
                 lump=lump,
-                phases=phases_for(args.phases, limits.states),
+                phases=args.phases,
                 progress=progress,
                 cancel=cancel,
             )
@@ -160,7 +158,6 @@ def _run(args: argparse.Namespace) -> int:
         if memory is None or isinstance(subject, Plan):
             analysis = make(limits)
             data = report(analysis, questions)
-            add_intervals(analysis, data, questions)
         else:
             analysis, data = report_within(
                 memory.size,
@@ -213,8 +210,7 @@ def _questions(args: argparse.Namespace, subject: Union[Net, Plan]) -> Questions
     if any(not (t >= 0 and math.isfinite(t)) for t in questions.at):
         raise UsageError("--at: a time must be a number of seconds, at least 0")
     questions.check(subject.net if isinstance(subject, Plan) else subject)
-    if args.phases is not None and (args.phases < 1 or not isinstance(subject, Plan)):
-        raise UsageError("--phases: give a plan, and at least one phase")
+    check_phases(args, subject)
     if args.query:
         _check_queries(args, questions)
     if args.symbolic:
@@ -247,7 +243,7 @@ def _check_queries(args: argparse.Namespace, questions: Questions) -> None:
             "--query answers queries, and no other questions",
             hint="leave out --query, or the questions",
         )
-    for option in ("csv", "lump", "memory", "symbolic", "phases"):
+    for option in ("csv", "lump", "memory", "symbolic"):
         if getattr(args, option):
             raise UsageError("--query and --%s exclude each other" % option)
 

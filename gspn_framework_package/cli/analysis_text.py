@@ -8,8 +8,8 @@ from decimal import Decimal
 from typing import Any, Dict, Iterator, List, Mapping, Optional, Sequence
 
 from gspn_framework_package.analysis.plan.reading import RUN
-from gspn_framework_package.analysis.report import titled
 from gspn_framework_package.analysis.report_measures import Part
+from gspn_framework_package.analysis.report_rows import titled
 from gspn_framework_package.analysis.symbolic.answers import SYMBOLIC
 from gspn_framework_package.cli.memory import scratch_text
 

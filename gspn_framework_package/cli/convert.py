@@ -14,8 +14,10 @@ from gspn_framework_package.analysis.chain_export import explicit_chain
 from gspn_framework_package.analysis.limits import STATE_LIMIT
 from gspn_framework_package.analysis.plan.reading import READINGS, RUN
 from gspn_framework_package.analysis.plan.run_net_export import run_net_of
+from gspn_framework_package.analysis.plan.space import replaced_durations
 from gspn_framework_package.analysis.structure.invariants import invariant_bounds
 from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.limits import PHASES_OPTION, check_phases
 from gspn_framework_package.cli.net_input import (
     add_net_arguments,
     print_notes,
@@ -71,6 +73,7 @@ _OPTIONS: Arguments = {
         "of a plan: its run net, which has the numbers of the plan as it runs under its policy; "
         "'gspn explain --run-net' says what is what in it"
     ),
+    **PHASES_OPTION,
     choice("--timing", READINGS): (
         "with --run-net, or for the chain of a plan: as it runs (default), or as a race of its "
         "net's rates"
@@ -115,6 +118,7 @@ def run(args: argparse.Namespace) -> int:
             raise UsageError("a run net is a net, and %s a plan" % args.output)
         if args.timing:
             raise UsageError(_NO_TIMING)
+        check_phases(args, None)
         return _write_plan(args)
     chain = args.to or next((name for name, ending in CHAINS.items() if ending == suffix), None)
     if chain in CHAINS:
@@ -130,6 +134,8 @@ def run(args: argparse.Namespace) -> int:
     if args.label:
         raise UsageError("--label is for chains: %s" % ", ".join(CHAINS.values()))
     target = format_named(args.to) if args.to else format_of_name(args.output)
+    if not args.run_net:
+        check_phases(args, None)
     net, notes = _read_run_net(args) if args.run_net else read_net_argument(args)
     for place, path, entry, leaving in args.expand:
         subnet, subnet_notes = read_net_with_notes(path)
@@ -154,7 +160,8 @@ def _read_run_net(args: argparse.Namespace) -> Tuple[Net, List[str]]:
     plan, notes = read_net_or_plan_argument(args)
     if not isinstance(plan, Plan):
         raise UsageError("--run-net is for plans, and this is a net", file=args.net_file)
-    literal, assumed = run_net_of(plan, args.timing or RUN)
+    check_phases(args, plan)
+    literal, assumed = run_net_of(plan, args.timing or RUN, args.phases)
     return literal.net, notes + assumed
 
 
@@ -181,11 +188,17 @@ def _write_chain(args: argparse.Namespace, kind: str) -> int:
     if args.output == "-":
         raise UsageError("a chain is not written to standard output")
     subject, notes = read_net_or_plan_argument(args)
+    check_phases(args, subject)
     with ProgressLine() as progress:
-        chain = explicit_chain(
-            Analysis(subject, limit=args.limit, timing=args.timing, progress=progress),
-            _labels(args.label),
+        analysis = Analysis(
+            subject,
+            limit=args.limit,
+            timing=args.timing,
+            phases=args.phases,
+            progress=progress,
         )
+        chain = explicit_chain(analysis, _labels(args.label))
+    notes += replaced_durations(analysis.space)
     empty = [label for label, states in chain.labels.items() if not states]
     unknown = (
         "; the file cannot express that, and Storm will not know the label" if kind == "drn" else ""

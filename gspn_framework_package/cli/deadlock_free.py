@@ -8,6 +8,7 @@ from typing import Any, Callable, Dict, Iterator, List, Mapping, NamedTuple, Opt
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.limits import Limits
+from gspn_framework_package.analysis.plan.space import replaced_durations
 from gspn_framework_package.analysis.preflight.report import marking_text, sequence
 from gspn_framework_package.analysis.proofs.ladder import PROVEN, VIOLATED, Answer, decide_question
 from gspn_framework_package.analysis.proofs.questions import CAN_MOVE, DEAD, NEVER, MarkingQuestion
@@ -257,8 +258,12 @@ def _cost(before: Plan, after: Plan, progress: Optional[Progress]) -> PerHour:
 
 
 def _analysed(plan: Plan, prefixes: Any, progress: Optional[Progress]) -> Estimate:
-    measures = Analysis(plan, limits=_CHAIN, progress=progress).measures
-    counted = [value for name, value in measures.throughput.items() if name.startswith(prefixes)]
+    analysis = Analysis(plan, limits=_CHAIN, progress=progress)
+    if replaced_durations(analysis.space):
+        raise LimitError("its chain has other durations")
+    counted = [
+        value for name, value in analysis.measures.throughput.items() if name.startswith(prefixes)
+    ]
     return Estimate(_HOUR * sum(counted), 0.0)
 
 

@@ -9,6 +9,7 @@ from typing import List, Optional, Union
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.drawing import chain_graph, note_of_rates_left_out, tree_graph
 from gspn_framework_package.analysis.limits import DEFAULT_MEMORY
+from gspn_framework_package.analysis.plan.space import replaced_durations
 from gspn_framework_package.analysis.state_space.coverability import CoverabilityTree
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli import numbers
@@ -103,8 +104,9 @@ def graph_of(
             net, limit=limit, progress=progress, cancel=cancel, memory=DEFAULT_MEMORY
         )
         return tree_graph(tree)
-    chain = Analysis(subject, limit=limit, progress=progress, cancel=cancel).chain
+    analysis = Analysis(subject, limit=limit, progress=progress, cancel=cancel)
+    chain = analysis.chain
     note = "" if everything else note_of_rates_left_out(chain)
-    if note and notes is not None:
-        notes.append(note)
+    if notes is not None:
+        notes += [*replaced_durations(analysis.space), *filter(None, [note])]
     return chain_graph(chain, note)

@@ -14,6 +14,7 @@ from gspn_framework_package.analysis.plan.witness import play_sequence
 from gspn_framework_package.analysis.preflight import MARKING_LIMIT
 from gspn_framework_package.analysis.preflight.report import Severity
 from gspn_framework_package.cli import numbers
+from gspn_framework_package.cli.limits import PHASES_OPTION, check_phases
 from gspn_framework_package.cli.net_input import print_notes
 from gspn_framework_package.cli.options import MODULES_OPTION, Argument, Arguments, choice
 from gspn_framework_package.cli.progress import ProgressLine
@@ -34,6 +35,7 @@ OPTIONS: Arguments = {
     choice("--timing", READINGS): (
         "with --run-net: as the plan runs (default), or as a race of its net's rates"
     ),
+    **PHASES_OPTION,
     Argument("--robots", "N", numbers.robots): "for a team of N robots",
     Argument("--limit", "N", numbers.markings, MARKING_LIMIT): (
         "maximum number of markings that the check visits (default %(default)s)"
@@ -55,6 +57,7 @@ def run(args: argparse.Namespace) -> int:
         plan = plan.for_robots(args.robots)
     if args.timing and not args.run_net:
         raise UsageError("--timing goes with --run-net")
+    check_phases(args, plan, args.run_net)
     if args.run_net:
         return _explain_run_net(plan, args)
     told = [{"text": "", "sequence": args.transitions}] if args.transitions else _found(plan, args)
@@ -75,7 +78,7 @@ def _explain_run_net(plan: Plan, args: argparse.Namespace) -> int:
     """Print what the places and transitions of the run net stand for."""
     if args.transitions:
         raise UsageError("--run-net plays no transitions")
-    literal, notes = run_net_of(plan, args.timing or RUN)
+    literal, notes = run_net_of(plan, args.timing or RUN, args.phases)
     if args.json:
         told = {
             "plan": plan.name,

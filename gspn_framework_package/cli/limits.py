@@ -25,6 +25,7 @@ from gspn_framework_package.cli.interrupts import interruptible, leave
 from gspn_framework_package.cli.options import Argument, Arguments
 from gspn_framework_package.cli.progress import ProgressLine
 from gspn_framework_package.model.errors import CancelledError, LimitError, UsageError
+from gspn_framework_package.model.plan import Plan
 
 _Result = TypeVar("_Result")
 
@@ -56,6 +57,13 @@ LIMIT_OPTIONS: Arguments = {
     % (DEFAULT_MEMORY / 1e9),
 }
 
+PHASES_OPTION: Arguments = {
+    Argument("--phases", "N", int): (
+        "at most N exponential phases for each duration of a plan (default: as many as make about "
+        "100,000 states; all that are needed where they make no states); docs/analysis.md"
+    ),
+}
+
 ON_OPTION: Arguments = {
     Argument("--on", "EXECUTOR", default="local"): (
         "where to compute: %s (default %%(default)s); the results are the same" % EXECUTOR_FORMS
@@ -79,6 +87,18 @@ def limits_of(args: argparse.Namespace) -> Limits:
         DEFAULT_SECONDS if args.limit_time is None else args.limit_time,
         DEFAULT_MEMORY if args.limit_memory is None else int(args.limit_memory * 1e9),
     )
+
+
+def check_phases(args: argparse.Namespace, subject: object, takes: bool = True) -> None:
+    """Check the option ``--phases``.
+
+    :param takes: whether anything is done that depends on it.
+    :raises UsageError: it does not apply.
+    """
+    if args.phases is not None and not (takes and isinstance(subject, Plan)):
+        raise UsageError("--phases is for the time of a plan: its chain, or its run net")
+    if args.phases is not None and args.phases < 1:
+        raise UsageError("--phases: at least one phase")
 
 
 @contextmanager

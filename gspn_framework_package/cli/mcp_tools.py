@@ -187,6 +187,7 @@ TOOLS = {
             "cover?": OBJECTS,
             "steady_state?": or_null(OBJECT),
             "intervals?": described_as(OBJECT, "what answers about time may be"),
+            "interval_sources?": NAMES,
             "queries?": OBJECTS,
             "undecided?": described_as(map_to(TEXT), "what could not be decided -> why"),
             "notes?": NAMES,
@@ -250,7 +251,7 @@ TOOLS = {
         "cannot fire; by default the sequences behind the findings of check. With run_net: what "
         "the nodes of the run net stand for.",
         "explain",
-        ("robots", "limit", "run-net", "timing"),
+        ("robots", "limit", "run-net", "timing", "phases"),
         {
             "plan": _PLAN,
             "transitions": {

@@ -13,10 +13,17 @@ import numpy as np
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.fitting import PlaceFit
 from gspn_framework_package.analysis.fitting.durations import kaplan_meier
+from gspn_framework_package.analysis.plan.space import replaced_durations
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli import numbers
 from gspn_framework_package.cli.fit import fit_options, learn
-from gspn_framework_package.cli.limits import LIMIT_OPTIONS, limits_of, working
+from gspn_framework_package.cli.limits import (
+    LIMIT_OPTIONS,
+    PHASES_OPTION,
+    check_phases,
+    limits_of,
+    working,
+)
 from gspn_framework_package.cli.net_input import add_subject_arguments, print_notes, read_subject
 from gspn_framework_package.cli.options import Argument, Arguments, add_options, choice
 from gspn_framework_package.model.duration import Kind
@@ -74,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, _OPTIONS)
     fit = parser.add_argument_group("durations of a plan, learned from logs (gspn fit)")
     add_options(fit, {**_FIT, **fit_options()})
-    add_options(parser.add_argument_group("effort"), LIMIT_OPTIONS)
+    add_options(parser.add_argument_group("effort"), {**LIMIT_OPTIONS, **PHASES_OPTION})
 
 
 def run(args: argparse.Namespace) -> int:
@@ -85,19 +92,35 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("--what and --time do not apply to --fit")
     begin_picture(args.output)
     subject, notes = read_subject(args)
+    check_phases(args, subject, not args.fit)
     if args.fit:
         return _plot_fit(subject, notes, args)
     limits = limits_of(args)
 
     def make(progress: Progress, cancel: Cancel) -> Any:
-        return figure_of(
-            Analysis(subject, limits=limits, structure=False, progress=progress, cancel=cancel),
+        analysis = Analysis(
+            subject,
+            limits=limits,
+            structure=False,
+            phases=args.phases,
+            progress=progress,
+            cancel=cancel,
+        )
+        figure = figure_of(
+            analysis,
             args.what,
             time=args.time,
             points=args.points,
             only=args.only,
             condition=args.condition,
         )
+        replaced = replaced_durations(analysis.space)
+        if replaced:
+            figure.text(
+                0.01, 0.01, "durations are replaced by phases of the same mean", fontsize="x-small"
+            )
+            notes.extend(replaced)
+        return figure
 
     save_picture(working(make, limits.memory), args.output)
     print_notes(notes)

@@ -33,6 +33,7 @@ def answer_queries(
             timing=args.timing,
             structure=not args.no_structure,
             engine=args.engine,
+            phases=args.phases,
             progress=progress,
             cancel=cancel,
         )
@@ -59,6 +60,9 @@ def answer_queries(
 def _text(answers: List[QueryAnswer], timing: Mapping[str, Any]) -> Iterator[str]:
     for answer in answers:
         yield query_text(answer)
+    sources = dict.fromkeys(source for answer in answers for source in answer.interval_sources)
+    if sources:
+        yield "    the intervals hold that %s" % " and ".join(sources)
     for assumption in timing.get("assumptions", ()):
         yield "    assumed: %s" % assumption
 

@@ -57,6 +57,7 @@ from gspn_framework_package.run_net.columns import (
 )
 from gspn_framework_package.run_net.phases import (
     MOST_PHASES,
+    is_tiny,
     number_of_phases,
     phases_of,
 )
@@ -79,6 +80,13 @@ _ROUNDING = 1e-15
 def one_phase_each(plan: Plan) -> Dict[str, float]:
     """Of :func:`compile_plan`: one phase for each duration."""
     return dict.fromkeys(plan.action_places, 1.0)
+
+
+def no_time_if_tiny(plan: Plan, timing: PlanTiming) -> Dict[str, float]:
+    """Of :func:`compile_plan`: no time for the durations that are tiny beside others."""
+    durations = {plan.net.places[p].name: one.duration for p, one in timing.places.items()}
+    longest = max((duration.mean for duration in durations.values()), default=0.0)
+    return {name: 0.0 for name, one in durations.items() if is_tiny(one, longest)}
 
 
 def compile_plan(

@@ -22,7 +22,7 @@ from typing import List, NamedTuple, Tuple
 from gspn_framework_package.model.duration import Duration
 
 MOST_PHASES = 200
-"""A duration that needs more phases than this is not represented by phases."""
+"""A duration that needs more phases than this gets fewer."""
 
 _TINY, _TINY_SHARE = 1e-3, 1e-4
 """A duration is tiny whose mean is at most so many seconds, and so much of the longest mean."""

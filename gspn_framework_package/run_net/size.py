@@ -76,7 +76,7 @@ class PhasesOfDurations:
     def states(
         self, states: Sequence[State], most: Mapping[str, float] = MappingProxyType({})
     ) -> float:
-        """How many states there would be if durations had their phases: each of ``states``, found
+        """How many states there would be if durations had these phases: each of ``states``, found
         with one phase for each, as often as its robots can be spread over the phases.
 
         :param most: place -> the most phases of each duration there.
@@ -88,7 +88,7 @@ class PhasesOfDurations:
         doing, times = distinct
         total = times.astype(np.float64)
         for robots, (p, (*_, duration, _), _) in zip(doing.T, self._many):
-            k = number_of_phases(duration, most.get(self._run_net.net.places[p].name, math.inf))
+            k = number_of_phases(duration, most.get(self._run_net.net.places[p].name, MOST_PHASES))
             total *= np.array([_spreadings(n, k) for n in range(robots.max() + 1)])[robots]
         return float(total.sum())
 
@@ -97,6 +97,17 @@ class PhasesOfDurations:
         columns = [attempt.columns[0] for _, attempt, _ in self._many]
         rows = [[state[c] for c in columns] if state else [0] * len(columns) for state in states]
         return np.array(rows, dtype=np.int64)
+
+    @property
+    def everything(self) -> Dict[str, float]:
+        """As many phases as each duration needs."""
+        return dict.fromkeys([self._run_net.net.places[p].name for p, _, _ in self._many], math.inf)
+
+    @property
+    def enough(self) -> Dict[str, float]:
+        """Fewer phases for the durations that need more than are represented."""
+        too_long = [self._run_net.net.places[p].name for p, _, k in self._many if k > MOST_PHASES]
+        return dict.fromkeys(too_long, _ENOUGH)
 
     def chosen(self, states: Sequence[State], shares: np.ndarray, limit: float) -> Dict[str, int]:
         """As many phases for the durations of each place as make about ``limit`` states: equally
@@ -183,17 +194,15 @@ class PhasesOfDurations:
 
     def why_so_many(self, states: float, limit: int) -> str:
         """Why the phases of the durations are too many, for people."""
-        p, attempt, k = max(self._many, key=lambda entry: entry[2])
-        longest = "that of %s (%s)" % (self._run_net.net.places[p].name, attempt.what)
-        if math.isinf(k):
-            return "durations that never vary have no exponential phases: %s" % longest
-        takes = "%s alone takes %s phases" % (longest, format(int(k), ","))
-        if states <= limit:
-            return "a duration may take up to %d phases, and %s" % (MOST_PHASES, takes)
-        return "the durations take about %s states, more than the limit of %s; %s" % (
+        p, attempt, _ = max(self._many, key=lambda entry: entry[2])
+        return (
+            "the durations take about %s states, more than the limit of %s (--limit); with fewer "
+            "phases (--phases) they take fewer, most of all that of %s (%s)"
+        ) % (
             format(int(states), ",") if states < 1e15 else "%.1e" % states,
             format(limit, ","),
-            takes,
+            self._run_net.net.places[p].name,
+            attempt.what,
         )
 
 

@@ -110,10 +110,15 @@ def _analyse(request: Dict[str, Any]) -> None:
     if questions.structure or questions.timing:
         first = Questions(structure=questions.structure, timing=False)
         _say(part=report(analysis, first))  # the page shows the quick results first
-    found = report(analysis, questions)
-    if found.get("steady_state") is not None:
-        found["likely_states"] = _likely_states(analysis)
-    _say(part=found)
+
+    def say(answers: Dict[str, Any]) -> None:
+        if answers.get("steady_state") is not None:
+            answers["likely_states"] = _likely_states(analysis)
+        _say(part=answers)
+
+    found = report(analysis, questions, before_intervals=say)
+    if "intervals" in found:
+        _say(part={key: found[key] for key in ("intervals", "interval_sources", "undecided")})
 
 
 def _optimise(request: Dict[str, Any], progress: Any) -> None:

@@ -1,5 +1,8 @@
 """The analysis panel, the input screen, and the page by keyboard alone."""
 
+import re
+from dataclasses import replace
+
 import pytest
 from page_reading import settle
 
@@ -7,6 +10,7 @@ from benchmarks.nets import kanban, philosophers
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.formats.registry import write_net
 from gspn_framework_package.model.builder import NetBuilder
+from gspn_framework_package.model.duration import Duration
 from gspn_framework_package.visualizer import analysis_jobs
 
 
@@ -86,6 +90,23 @@ def test_a_plan_is_analysed_as_it_runs_or_as_its_net(show_net, open_page):
     analysed(page)
     page.uncheck("#an-policy")
     assert page.locator("#an-reading").is_disabled()
+
+
+def test_durations_with_too_many_phases_have_answers_with_intervals(show_net, open_page):
+    plan = read_plan("plans/rendezvous")
+    plan = replace(plan, durations={"Docked": Duration.deterministic(2.0)}).validate()
+    page = open_page(show_net(plan.net, plan).address)
+    page.keyboard.press("3")
+    page.click("summary:has-text('How long until?')")
+    page.fill("#an-passage", "Docked >= 1")
+    for question, title in (("Steady state", "Steady state"), ("Mean time", "How long until?")):
+        page.click("#analysis button:text-is('%s')" % question)
+        page.wait_for_selector("#answers details:has-text('%s')" % title)
+        analysed(page)
+        text = page.inner_text("#answers")
+        assert "In brackets: what the answers may be, since durations are replaced." in text
+        assert re.search(r"\d \(\d[^)]* to \d", text)
+        assert "was replaced by phases of the same mean: Erlang" in text
 
 
 def test_the_run_net_of_a_plan_is_shown_with_what_its_nodes_stand_for(show_net, open_page):

@@ -25,8 +25,11 @@ from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import PlanTiming
-from gspn_framework_package.run_net.compiling import compile_plan, one_phase_each
-from gspn_framework_package.run_net.phases import MOST_PHASES, is_tiny
+from gspn_framework_package.run_net.compiling import (
+    compile_plan,
+    no_time_if_tiny,
+    one_phase_each,
+)
 from gspn_framework_package.run_net.run_net import State
 from gspn_framework_package.run_net.size import PhasesOfDurations
 from gspn_framework_package.run_net.steps import Steps
@@ -57,6 +60,7 @@ class PlanSpace(StateSpace):
     :ivar where_most: if it is not complete, the place that makes it large, in words for people.
     :ivar fewer_phases: place -> fewer phases of each duration there, where durations are not
       represented exactly; empty if all are.
+    :ivar replaced: by what those are replaced: sentences for people.
     """
 
     def __init__(
@@ -84,6 +88,7 @@ class PlanSpace(StateSpace):
         self.refusal = ""
         self.where_most = ""
         self.fewer_phases: Mapping[str, float] = {}
+        self.replaced: List[str] = []
         self._parts, self._part_counts = parts, part_counts
         self._vanishing = vanishing
         self._values = values
@@ -158,6 +163,11 @@ class PlanSpace(StateSpace):
         )
 
 
+def replaced_durations(space: StateSpace) -> List[str]:
+    """By what the durations are replaced that are not represented exactly: sentences for people."""
+    return space.replaced if isinstance(space, PlanSpace) else []
+
+
 ChoosePhases = Callable[[PlanSpace, PhasesOfDurations, Sequence[State]], Mapping[str, float]]
 """Chooses place -> the most phases of each duration there. It is given the states with one phase
 for each duration."""
@@ -178,7 +188,8 @@ def explore_plan(
 
     :param plan: a validated plan.
     :param timing: its durations, to follow the run; None: the classical reading of its net.
-    :param phases: chooses how many phases durations have; None: as many as they need.
+    :param phases: chooses how many phases durations have; None: as many as they need, at most
+        :data:`~gspn_framework_package.run_net.phases.MOST_PHASES`.
     :param limit: stop soon after this many states are known; the result is then not ``complete``.
     :param progress: receives the number of states at intervals.
     :param cancel: called at intervals; returns whether to stop.
@@ -188,11 +199,9 @@ def explore_plan(
     """
     room = Allowance(memory, time.monotonic() + seconds)
     work = _Exploration(limit, Watch(progress, cancel), room, seconds)
-    untimed: Dict[str, float] = {}
+    untimed = {}
     if timing is not None and phases is not None:
-        durations = {plan.net.places[p].name: one.duration for p, one in timing.places.items()}
-        longest = max((duration.mean for duration in durations.values()), default=0.0)
-        untimed = {name: 0.0 for name, one in durations.items() if is_tiny(one, longest)}
+        untimed = no_time_if_tiny(plan, timing)
     run_net = compile_plan(plan, timing, phases={**one_phase_each(plan), **untimed})
     if timing is None:
         return work.explore(Steps(run_net), net_notes(plan))
@@ -211,15 +220,16 @@ def explore_plan(
     # be with all phases is known before they are visited.
     most = {**phases(space, many, work.states), **untimed} if phases is not None else {}
     needed = many.states(work.states, most)
-    if needed > limit or (phases is None and many.most > MOST_PHASES):
+    if needed > limit:
         space.refusal = "not decided: %s" % many.why_so_many(needed, limit)
         notes.assumptions.append(
             "for all answers that need no rates, every duration is taken as exponential"
         )
         return space
-    notes.assumptions.extend(many.matches(most))
+    replaced = many.matches(most)
+    notes.assumptions.extend(replaced)
     found = work.explore(Steps(compile_plan(plan, timing, phases=most)), notes)
-    found.fewer_phases = many.fewer(most)
+    found.fewer_phases, found.replaced = many.fewer(most), replaced
     return found
 
 

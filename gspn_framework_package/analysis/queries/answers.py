@@ -2,7 +2,8 @@
 
 A formula ``EF c``, ``AG c`` or, of a net, ``AG EF c`` is first given to the ladder of proofs, which
 can decide it however many markings there are. Otherwise the states are explored, and a formula that
-those left unexplored could change is not decided. Probabilities come from the Markov chain.
+those left unexplored could change is not decided. Probabilities come from the Markov chain. Their
+interval also holds what :mod:`~gspn_framework_package.analysis.intervals` says of a plan.
 
 >>> from gspn_framework_package.model.builder import NetBuilder
 >>> net = (NetBuilder("machine").place("up", tokens=1).place("down")
@@ -17,11 +18,12 @@ True
 
 from __future__ import annotations
 
-from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
 import numpy as np
 
 from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.intervals import half_widths
 from gspn_framework_package.analysis.proofs import questions
 from gspn_framework_package.analysis.proofs.answers import decided
 from gspn_framework_package.analysis.proofs.ladder import FEW_MARKINGS, PROVEN, VIOLATED
@@ -48,7 +50,8 @@ class QueryAnswer(NamedTuple):
 
     :ivar query: as written.
     :ivar value: the probability or share of time, if one was asked for.
-    :ivar interval: its bounds: the value, less and plus the error of its computation.
+    :ivar interval: its bounds: the value, less and plus the error of its computation, and what
+        ``interval_sources`` says, in words for people.
     :ivar holds: the answer to a query with yes or no; None if it is not decided.
     :ivar decided_by: what decided it: ``exploration``, a step of the ladder of proofs, or
         ``Markov chain``.
@@ -65,11 +68,12 @@ class QueryAnswer(NamedTuple):
     sequence: Optional[Sequence[str]] = None
     marking: Optional[Dict[str, int]] = None
     undecided: str = ""
+    interval_sources: Sequence[str] = ()
 
     def to_json(self) -> Dict[str, Any]:
         """As plain JSON values."""
         data = self._asdict()
-        for key in ("interval", "sequence"):
+        for key in ("interval", "sequence", "interval_sources"):
             data[key] = None if data[key] is None else list(data[key])
         return data
 
@@ -99,16 +103,26 @@ class _Work:
 
     def quantity(self, query: Quantity) -> QueryAnswer:
         """Answer a query with P or S."""
-        if isinstance(query.asked, PathFormula):
-            value, low, high = self._probability(query.asked)
-        else:
-            value, low, high = self._long_run(query.asked)
-        low, high = max(low, 0.0), min(high, 1.0)
+        value, error, passing = self._valued(query.asked)
+        spread = half_widths(
+            self._analysis,
+            {"": {"probability": value}},
+            lambda other: {"": {"probability": _Work(other, self._text)._valued(query.asked)[0]}},
+        )
+        error += spread.widths[""]["probability"]
+        low, high = max(value - error, 0.0), min(value + error, 1.0)
+        if passing is not None and passing.possible:
+            low = max(low, float(np.nextafter(0.0, 1.0)))
+        if passing is not None and passing.lost:
+            high = min(high, float(np.nextafter(1.0, 0.0)))
+        if isinstance(query.asked, PathFormula) and query.asked.operator == "G":
+            value, low, high = 1.0 - value, 1.0 - high, 1.0 - low
         answer = QueryAnswer(
             self._text,
             value=min(max(value, 0.0), 1.0),
             interval=(low, high),
             decided_by="Markov chain",
+            interval_sources=spread.sources,
         )
         if query.bound is None:
             return answer
@@ -116,8 +130,16 @@ class _Work:
         why = "" if holds is not None else "the interval contains the bound"
         return answer._replace(holds=holds, undecided=why)
 
-    def _probability(self, path: PathFormula) -> Tuple[float, float, float]:
-        """The probability of a path, and its bounds."""
+    def _valued(
+        self, asked: Union[PathFormula, StateFormula]
+    ) -> Tuple[float, float, Optional[Passing]]:
+        """The probability of a path (of "G", that it ends), or a share of time, with its error, and
+        the way there if it may take any time."""
+        if isinstance(asked, StateFormula):
+            return (*self._long_run(asked), None)
+        return self._probability(asked)
+
+    def _probability(self, path: PathFormula) -> Tuple[float, float, Optional[Passing]]:
         space = self._space(path)
         graph = self._analysis.rated(space)
         sets = StateSets(space)
@@ -129,27 +151,18 @@ class _Work:
         passing = Passing(graph, goal, avoid)
         if path.within is None:
             watch = Watch(**self._analysis.while_working)
-            value, error = passing.bounded_probability(watch)
-            low, high = value - error, value + error
-            if passing.possible:
-                low = max(low, float(np.nextafter(0.0, 1.0)))
-            if passing.lost:
-                high = min(high, float(np.nextafter(1.0, 0.0)))
-        else:
-            (at,) = transient(passing.chain, [path.within], **self._analysis.while_working)
-            value = float(at.distribution[passing.there].sum())
-            error = truncation_and_rounding(passing.chain, path.within)
-            low, high = value - error, value + error
-        return (1.0 - value, 1.0 - high, 1.0 - low) if path.operator == "G" else (value, low, high)
+            return (*passing.bounded_probability(watch), passing)
+        (at,) = transient(passing.chain, [path.within], **self._analysis.while_working)
+        value = float(at.distribution[passing.there].sum())
+        return value, truncation_and_rounding(passing.chain, path.within), None
 
-    def _long_run(self, formula: StateFormula) -> Tuple[float, float, float]:
-        """The long-run share of time in which a formula holds, and its bounds."""
+    def _long_run(self, formula: StateFormula) -> Tuple[float, float]:
+        """The long-run share of time in which a formula holds, and its error."""
         self._refuse_counters(self._places([formula]))
         steady = self._analysis.steady
         holds = StateSets(self._whole()).holding(formula).must[steady.chain.states]
         value = float(steady.distribution[holds].sum())
-        error = min(float(steady.errors[part].sum()) for part in (holds, ~holds))
-        return value, value - error, value + error
+        return value, min(float(steady.errors[part].sum()) for part in (holds, ~holds))
 
     # -- yes or no
 

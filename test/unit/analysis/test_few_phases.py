@@ -7,7 +7,6 @@ import pytest
 from test_run_analysis import plan_of
 
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.phasing import add_intervals, phases_for
 from gspn_framework_package.analysis.report import Questions, report
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.formats.plan_json import plan_to_json
@@ -55,7 +54,7 @@ def interrupted(duration, rate=0.8):
         .exponential("back", rate=1.0, inputs="Rest", outputs="Work")
         .build()
     )
-    return plan_of(net, {"Work": duration}, events={"alarm": EventSource("actions.work", "work")})
+    return plan_of(net, {"Work": duration}, events={"alarm": EventSource(function="actions.work")})
 
 
 @pytest.mark.parametrize("most", [1, 2, 6])
@@ -64,10 +63,9 @@ def test_the_interval_contains_what_the_duration_itself_gives(duration, most):
     """A robot works for E[min(T, alarm)] = (1 - E[exp(-rate T)]) / rate, and is done with
     probability E[exp(-rate T)]."""
     plan, rate = interrupted(duration), 0.8
-    analysis = Analysis(plan, phases=phases_for(most))
+    analysis = Analysis(plan, phases=most)
     questions = Questions(at=(1.0,), mean_time_to=("Rest == 1",))
     data = report(analysis, questions)
-    add_intervals(analysis, data, questions)
     steps = np.linspace(0.0, 1.0, 40_001)
     times = duration.quantile((steps[:-1] + steps[1:]) / 2)
     done = np.exp(-rate * times).mean()
@@ -124,6 +122,36 @@ def test_no_intervals_where_durations_are_phases_and_bad_numbers_are_refused(tmp
     for words in (["--phases", "0"], ["--only-net", "--phases", "3"]):
         code, printed = analysed(tmp_path, capsys, plan, *words)
         assert (code, printed.err.count("\n")) == (2, 1), printed.err
+
+
+def test_what_shows_numbers_says_that_durations_are_replaced(tmp_path, capsys):
+    plan = interrupted(Duration.deterministic(2.0))
+    query = ["--phases", "4", "--query", "S=? [ Work = 1 ]", "--query", "S>=0.5 [ Work = 1 ]"]
+    code, printed = analysed(tmp_path, capsys, plan, *query, "--json")
+    number, bound = json.loads(printed.out)["queries"]
+    assert number["interval_sources"] == ["durations are replaced"]
+    low, high = number["interval"]
+    works = (1 - np.exp(-0.8 * 2.0)) / 0.8
+    assert low < works / (works + 1) < high < low + 0.2 and low < number["value"] < high
+    assert (code, bound["holds"], bound["undecided"]) == (
+        1,
+        None,
+        "the interval contains the bound",
+    )
+    path, said = (
+        str(tmp_path / "plan.json"),
+        "was replaced by phases of the same mean: Erlang with 3",
+    )
+    for words in (
+        ["plot", path, "-o", str(tmp_path / "a.png"), "--time", "3", "--points", "3"],
+        ["convert", path, str(tmp_path / "a.drn")],
+        ["convert", path, str(tmp_path / "a.jani"), "--run-net"],
+        ["explain", path, "--run-net"],
+    ):
+        assert main([*words, "--phases", "3"]) == 0
+        assert said in capsys.readouterr().err, words
+        assert main([*words, "--phases", "0"]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_short_logs_make_intervals_wider(tmp_path, capsys):

@@ -286,8 +286,14 @@ def test_the_run_net_of_either_reading_of_time_is_written(tmp_path, capsys):
         assert "--run-net" in capsys.readouterr().err
 
 
-def test_a_duration_that_never_varies_is_refused():
+@pytest.mark.parametrize("most", [None, 3])
+def test_durations_of_too_many_phases_are_those_of_the_analysis(most):
     plan = read_plan("plans/rendezvous")
     plan = replace(plan, durations={"Docked": Duration.deterministic(2.0)}).validate()
-    with pytest.raises(RefusedError, match="durations that never vary have no exponential phases"):
-        run_net_of(plan)
+    literal, notes = run_net_of(plan, most=most)
+    assert any(
+        "was replaced by phases of the same mean: Erlang with %d" % (most or 28) in n for n in notes
+    )
+    mine, its = (Analysis(of, phases=most).measures.mean_tokens for of in (plan, literal.net))
+    for place, name in literal.counts.items():
+        assert its[name] == pytest.approx(mine[place], abs=1e-9)

@@ -13,7 +13,8 @@ from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.plan.reading import NET, RUN
 from gspn_framework_package.analysis.plan.structure import PolicyCover
 from gspn_framework_package.analysis.preflight.check_plan import check
-from gspn_framework_package.analysis.report import report, rows
+from gspn_framework_package.analysis.report import report
+from gspn_framework_package.analysis.report_rows import rows
 from gspn_framework_package.analysis.simulation import kernel, simulate
 from gspn_framework_package.analysis.simulation.plan_tables import PlanTables
 from gspn_framework_package.execution.virtual_time import VirtualRun

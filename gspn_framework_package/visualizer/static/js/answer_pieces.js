@@ -29,6 +29,21 @@ export class AnswerPieces {
     return number(value);
   }
 
+  /** The interval of an answer, to follow its number; empty if it has none. */
+  within(result, key, name) {
+    const found = result.intervals?.[key];
+    const ends = Array.isArray(found) ? found : found?.[name];
+    if (!ends) return "";
+    const [low, high] = ends.map((end) => number(Number(end.toPrecision(4))));
+    return ` (${low} to ${high})`;
+  }
+
+  /** Why answers have intervals, if they have. */
+  whyIntervals(result, text = "In brackets: what the answers may be") {
+    const sources = result.interval_sources;
+    return sources && h("p.muted", `${text}, since ${sources.join(" and ")}.`);
+  }
+
   why(result, key) {
     return (result.undecided || {})[key] || "";
   }
@@ -42,10 +57,15 @@ export class AnswerPieces {
         return [
           title,
           Object.entries(value)
-            .map(([name, one]) => `${name} ${typeof one === "number" ? number(one) : one}`)
+            .map(
+              ([name, one]) =>
+                `${name} ${typeof one === "number" ? number(one) : one}` +
+                this.within(result, key, name),
+            )
             .join(", "),
         ];
-      return [title, typeof value === "string" ? value : this.answer(result, key)];
+      const text = typeof value === "string" ? value : this.answer(result, key);
+      return [title, [text, this.within(result, key)].flat()];
     });
   }
 
@@ -104,7 +124,7 @@ export class AnswerPieces {
     const why = Object.entries(result.undecided ?? {})
       .filter(([name]) => name.startsWith(`${key}.`))
       .map(([, text]) => text);
-    return (result[key] || []).map((found) => (found ? draw(found) : h("p", why)));
+    return (result[key] || []).map((found, i) => (found ? draw(found, i) : h("p", why)));
   }
 
   /** A button that marks nodes: [[name, mark], ...]; `legend` follows the title in the legend. */

@@ -1,6 +1,6 @@
 // The answers to the questions of an analysis, in words, tables and plots.
 
-import { behaviour, cover, decided, reach, structure } from "./net_answers.js";
+import { assumed, behaviour, cover, decided, reach, structure } from "./net_answers.js";
 import { sweepAnswer } from "./sweep.js";
 import { passage, settling, simulated, steadyState, transient } from "./time_answers.js";
 
@@ -18,8 +18,11 @@ export function answersTo(show, result, request, body) {
   if (request.settling !== undefined) parts.push(settling(show, result));
   if (request.structure) parts.push(structure(show, result));
   const particular = ["reach", "cover", "mean_time_to", "at", "settling"];
-  if (!particular.some((key) => key in request) && result.bounded !== undefined)
-    parts.push(behaviour(show, result, body));
+  if (!particular.some((key) => key in request)) {
+    if (result.bounded !== undefined) parts.push(behaviour(show, result, body));
+  } else if (body.policy && result.timing?.assumptions.length) {
+    parts.push(show.section("Assumed", assumed(result.timing)));
+  }
   if (request.timing) parts.push(steadyState(show, result));
   return parts.flat().filter(Boolean);
 }

@@ -81,14 +81,16 @@ function timeFacts(show, timing, body) {
   return [
     ["Time", timing.reading === "run" ? "as the plan runs" : "as in its net alone"],
     split.length > 0 && ["Doing and done distinguished in", show.names(split)],
-    timing.assumptions.length > 0 && [
-      "Assumed",
-      h(
-        "ul",
-        timing.assumptions.map((text) => h("li", text)),
-      ),
-    ],
+    timing.assumptions.length > 0 && ["Assumed", assumed(timing)],
   ];
+}
+
+/** What was assumed about time. */
+export function assumed(timing) {
+  return h(
+    "ul",
+    timing.assumptions.map((text) => h("li", text)),
+  );
 }
 
 export function behaviour(show, result, body) {

@@ -13,7 +13,11 @@ export function steadyState(show, result) {
   const states = result.likely_states || [];
   const stay = ({ mean_stay: value }) => (value === "infinite" ? "forever" : number(value));
   const titled = show.titled(result, "timing");
-  if (steady.reward !== undefined) titled.unshift(["Reward", `${number(steady.reward)} /s`]);
+  const within = (key, name) => show.within(result, `steady_state.${key}`, name);
+  if (steady.reward !== undefined) {
+    const ends = show.within(result, "steady_state", "reward");
+    titled.unshift(["Reward", `${number(steady.reward)} /s${ends}`]);
+  }
   return show.section(
     "Steady state",
     titled.length > 0 && facts(titled),
@@ -48,15 +52,19 @@ export function steadyState(show, result) {
       ["Place", "mean", "wait (s)"],
       tokens.map(([name, value]) => [
         show.node(name),
-        number(value),
-        number(waits.get(name) ?? null),
+        number(value) + within("mean_tokens", name),
+        number(waits.get(name) ?? null) + within("mean_waiting_time", name),
       ]),
     ),
     h("h3", "Throughput (1/s)"),
     show.table(
       ["Transition", "firings"],
-      flows.map(([name, value]) => [show.node(name), number(value)]),
+      flows.map(([name, value]) => [
+        show.node(name),
+        number(value) + within("throughput", name),
+      ]),
     ),
+    show.whyIntervals(result),
     show.distribution(steady.token_distribution),
     states.length > 0 && [
       h("h3", "The most probable markings"),
@@ -167,8 +175,18 @@ export function transient(show, result) {
     ),
   );
   draw();
+  const off = Object.entries(result.intervals ?? {})
+    .filter(([key]) => /^transient\.\d+\.mean_tokens$/.test(key))
+    .flatMap(([, table]) => Object.values(table))
+    .map((ends) => (ends ? (ends[1] - ends[0]) / 2 : 0));
+  const most = number(Number(Math.max(...off).toPrecision(2)));
   return [
-    show.section("Mean tokens over time", plot, boxes),
+    show.section(
+      "Mean tokens over time",
+      plot,
+      show.whyIntervals(result, `The curves may be off by up to ${most} tokens`),
+      boxes,
+    ),
     show.section("Distribution of tokens over time", distributionOverTime(show, found, order)),
   ];
 }
@@ -213,12 +231,21 @@ export function settling(show, result) {
 export function passage(show, result) {
   return show.section(
     "How long until?",
-    show.conditions(result, "mean_time_to", (found) => [
+    show.conditions(result, "mean_time_to", (found, i) => [
       facts([
         ["Condition", found.condition],
-        ["Mean time", found.mean_time === "infinite" ? "infinite" : `${number(found.mean_time)} s`],
-        ["Probability", number(found.probability)],
+        [
+          "Mean time",
+          found.mean_time === "infinite"
+            ? "infinite"
+            : `${number(found.mean_time)} s${show.within(result, `mean_time_to.${i}`, "mean_time")}`,
+        ],
+        [
+          "Probability",
+          number(found.probability) + show.within(result, `mean_time_to.${i}`, "probability"),
+        ],
       ]),
+      show.whyIntervals(result),
       found.within.length > 1 &&
         curvePlot(
           [{ name: "probability", points: found.within.map((w) => [w.time, w.probability]) }],

@@ -1,0 +1,225 @@
+"""The intervals of answers about the time of a plan.
+
+A chain can follow a duration only as exponential phases. Where those that it needs make too many
+states, it gets fewer, with the same mean. All answers about time are then computed twice: as well
+as possible, and with half as many phases, that is, with twice the squared variation. If an answer
+is a linear function of the squared coefficients of variation, it is off by at most the difference
+of the two; if of the coefficients themselves, by at most 1 + sqrt(2) times as much, the half width
+of its interval. An answer that hardly differs by chance gets the share by which those of its table
+differ together. That is an estimate, not a bound.
+
+What was learned from logs is uncertain, too: values are drawn from their posterior distributions,
+and the half width of a prediction interval (Student's t, 95 %) of the answers with one phase for
+each duration, relative to their mean, is added.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Tuple
+
+import numpy as np
+
+from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.plan.space import PlanSpace
+from gspn_framework_package.analysis.quantiles import student
+from gspn_framework_package.analysis.report_measures import Part
+from gspn_framework_package.analysis.report_rows import titled
+from gspn_framework_package.model.plan import Plan
+from gspn_framework_package.run_net.compiling import one_phase_each
+
+_REPLACED = "durations are replaced"
+"""What an interval holds, if durations are not represented exactly."""
+
+_LEARNED = "the logs that values were learned from are short"
+
+_HALF_WIDTH = 1 + math.sqrt(2)
+"""Half width of an interval, in differences of the two answers."""
+
+_FEWEST_DRAWS, _MOST_DRAWS, _DRAWN_STATES = 8, 40, 120_000
+"""Values that were learned are drawn so often at least and at most, and so that about so many
+states are visited in all."""
+
+_TABLES = ("mean_tokens", "throughput", "mean_waiting_time")
+
+AnswerTables = Dict[str, Dict[str, float]]
+"""What answers are of -> name -> number. The name of an answer that is a number by itself is
+empty."""
+
+
+class HalfWidths(NamedTuple):
+    """Half the widths of the intervals of answers; infinite: not known.
+
+    :ivar sources: what the intervals hold, in words for people; empty if there are none.
+    """
+
+    widths: AnswerTables
+    sources: List[str]
+
+
+def half_widths(
+    analysis: Analysis,
+    here: AnswerTables,
+    answers: Callable[[Analysis], AnswerTables],
+    logs: bool = True,
+) -> HalfWidths:
+    """The half widths that are due to the phases of durations, if they are not represented exactly,
+    and to the logs that a plan was learned from.
+
+    :param here: the answers of this analysis.
+    :param answers: the same of another one.
+    :param logs: whether to draw what was learned.
+    """
+    found = HalfWidths({key: dict.fromkeys(table, 0.0) for key, table in here.items()}, [])
+    plan = analysis.plan
+    if plan is None or not here:
+        return found
+    space = analysis.space
+    if not isinstance(space, PlanSpace) or not space.complete or space.refusal:
+        return found
+
+    def with_phases(of: Plan, phases: Mapping[str, float]) -> AnswerTables:
+        return answers(
+            Analysis(
+                of,
+                limits=analysis.limits._replace(states=None),
+                timing=space.notes.reading,
+                phases=phases,
+                progress=analysis.while_working["progress"],
+                cancel=analysis.while_working["cancel"],
+            )
+        )
+
+    if space.fewer_phases:
+        found.sources.append(_REPLACED)
+        there = with_phases(plan, space.fewer_phases)
+        for key, table in here.items():
+            for name, change in _changes(key, table, there.get(key, {})).items():
+                found.widths[key][name] = _HALF_WIDTH * change
+    if logs and plan.evidence:
+        _add_logs(found, plan, space, here, lambda of: with_phases(of, one_phase_each(plan)))
+    return found
+
+
+def _add_logs(
+    found: HalfWidths,
+    plan: Plan,
+    space: PlanSpace,
+    here: AnswerTables,
+    answers: Callable[[Plan], AnswerTables],
+) -> None:
+    # few plans were learned from logs, and the simulation takes long to import
+    from gspn_framework_package.analysis.monitoring.prediction import draw_parameters, is_uncertain
+
+    draws = 0
+    if is_uncertain(plan):
+        draws = min(_MOST_DRAWS, _DRAWN_STATES // len(space.distinct(np.arange(len(space)))))
+    if draws < _FEWEST_DRAWS:
+        return
+    found.sources.append(_LEARNED)
+    generator = np.random.Generator(np.random.PCG64(0))
+    drawn = [answers(draw_parameters(plan, generator).apply(plan)) for _ in range(draws)]
+    times = student(0.975, draws - 1) * math.sqrt(1 + 1 / draws)
+    for key, table in here.items():
+        for name, v in table.items():
+            values = [other[key][name] for other in drawn if name in other.get(key, {})]
+            if len(values) == draws and any(values):
+                relative = float(np.std(values, ddof=1) / abs(np.mean(values)))
+                found.widths[key][name] += times * relative * abs(v)
+
+
+def steady_intervals(analysis: Analysis) -> Dict[str, Dict[str, Tuple[float, float]]]:
+    """Mean tokens and throughputs in the steady state, each with the half width of its interval
+    that is due to durations which are not represented exactly."""
+
+    def answers(of: Analysis) -> AnswerTables:
+        return {
+            "mean_tokens": of.measures.mean_tokens,
+            "throughput": of.measures.throughput,
+        }
+
+    here = answers(analysis)
+    widths = half_widths(analysis, here, answers, logs=False).widths
+    return {
+        key: {name: (v, widths[key][name]) for name, v in table.items()}
+        for key, table in here.items()
+    }
+
+
+def add_intervals(
+    analysis: Analysis, data: Dict[str, Any], timed: Callable[[Analysis], Dict[str, Any]]
+) -> None:
+    """Add to a report the ``intervals`` of its answers about time, with ``interval_sources``: what
+    they hold, in words for people.
+
+    :param timed: that part of the report of another analysis.
+    """
+
+    def answers(of: Analysis) -> AnswerTables:
+        there = timed(of)
+        for key in there["undecided"].keys() - data["undecided"].keys():
+            data["undecided"]["intervals.%s" % key] = there["undecided"][key]
+        return _tables(there)
+
+    here = _tables(data)
+    found = half_widths(analysis, here, answers)
+    if found.sources:
+        data["interval_sources"] = found.sources
+        ends = {
+            key: {name: _ends(name, v, found.widths[key][name]) for name, v in table.items()}
+            for key, table in here.items()
+        }
+        data["intervals"] = {key: of.get("", of) for key, of in ends.items()}
+
+
+def _tables(data: Mapping[str, Any]) -> AnswerTables:
+    """The answers about time of a report."""
+    found: Dict[str, Dict[str, Any]] = {}
+    parts: List[Tuple[str, Any]] = [("steady_state", data.get("steady_state"))]
+    parts += [("transient.%d" % i, part) for i, part in enumerate(data.get("transient") or ())]
+    for key, part in parts:
+        found.update(("%s.%s" % (key, of), part[of]) for of in _TABLES if of in (part or ()))
+        if part and "reward" in part:
+            found[key] = {"reward": part["reward"]}
+    for key, _ in titled(data, Part.TIMING):
+        value = data[key]
+        found[key] = value if isinstance(value, dict) else {"": value}
+    for i, passage in enumerate(data.get("mean_time_to") or ()):
+        if passage:
+            within = {
+                "within.%d" % n: entry["probability"] for n, entry in enumerate(passage["within"])
+            }
+            first = {key: passage[key] for key in ("mean_time", "probability")}
+            found["mean_time_to.%d" % i] = {**first, **within}
+    numbers = {
+        key: {
+            name: v
+            for name, v in table.items()
+            if isinstance(v, (int, float)) and not isinstance(v, bool)
+        }
+        for key, table in found.items()
+    }
+    return {key: table for key, table in numbers.items() if table}
+
+
+def _changes(key: str, here: Mapping[str, float], there: Mapping[str, float]) -> Dict[str, float]:
+    """How much fewer phases change each answer of a table, or the table as a whole; infinite: not
+    known."""
+    both = [(v, there[name]) for name, v in here.items() if name in there]
+    total = sum(abs(v) for v, _ in both)
+    share = 0.0
+    if total and not key.startswith("mean_time_to"):
+        share = sum(abs(v - w) for v, w in both) / total
+    return {
+        name: max(abs(v - there[name]), share * abs(v)) if name in there else math.inf
+        for name, v in here.items()
+    }
+
+
+def _ends(name: str, value: float, half: float) -> Optional[List[float]]:
+    """The ends of an interval; None: there is none."""
+    if math.isinf(half):
+        return None
+    low = value - half if name in ("", "reward") else max(value - half, 0.0)
+    chance = name == "probability" or name.startswith("within.")
+    return [low, min(value + half, 1.0) if chance else value + half]
