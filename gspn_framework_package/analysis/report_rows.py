@@ -14,8 +14,16 @@ def titled(data: Mapping[str, Any], part: Optional[Part] = None) -> Iterator[Tup
             yield from titles.items()
 
 
-def rows(data: Mapping[str, Any]) -> Iterator[Tuple[str, str, Any]]:
-    """The numbers of a report as rows (measure, name, value), for CSV."""
+def rows(data: Mapping[str, Any]) -> Iterator[Tuple[str, str, Any, Any, Any]]:
+    """The numbers of a report as rows (measure, name, value, low, high), for CSV; the interval is
+    None, None where there is none."""
+    spans = data.get("intervals", {})
+
+    def row(measure: str, name: str, value: Any, key: str = "", of: str = "") -> Tuple[Any, ...]:
+        span = spans.get(key)
+        ends = (span or {}).get(of or name) if not isinstance(span, list) else span
+        return (measure, name, value, *(ends or (None, None)))
+
     for key in (
         "places",
         "transitions",
@@ -26,29 +34,28 @@ def rows(data: Mapping[str, Any]) -> Iterator[Tuple[str, str, Any]]:
         "reversible",
         "conservative",
     ):
-        yield key, "", data.get(key)
+        yield row(key, "", data.get(key))
     for key, _ in titled(data):
         value = data[key]
         for name, one in value.items() if isinstance(value, dict) else [("", value)]:
-            yield key, name, one
+            yield row(key, name, one, key)
     for key in ("states", "bounds", "liveness"):
         for name, value in (data.get(key) or {}).items():
-            yield key, name, value
-    parts = [("steady_state", data.get("steady_state") or {})]
-    parts += [("transient at %g" % entry["time"], entry) for entry in data.get("transient") or ()]
-    for title, part in parts:
+            yield row(key, name, value)
+    parts = [("steady_state", "steady_state", data.get("steady_state") or {})]
+    for i, entry in enumerate(data.get("transient") or ()):
+        parts.append(("transient at %g" % entry["time"], "transient.%d" % i, entry))
+    for title, key, part in parts:
         for measure in ("mean_tokens", "throughput", "mean_waiting_time"):
             for name, value in (part.get(measure) or {}).items():
-                yield "%s %s" % (title, measure), name, value
+                yield row("%s %s" % (title, measure), name, value, "%s.%s" % (key, measure))
         for place, counts in (part.get("token_distribution") or {}).items():
             for count, value in counts.items():
-                yield "%s probability of %s tokens" % (title, count), place, value
-    for entry in data.get("mean_time_to") or ():
+                yield row("%s probability of %s tokens" % (title, count), place, value)
+    for i, entry in enumerate(data.get("mean_time_to") or ()):
         if entry:
-            yield "mean_time_to", entry["condition"], entry["mean_time"]
-            for within in entry["within"]:
-                yield (
-                    "probability within %g s" % within["time"],
-                    entry["condition"],
-                    within["probability"],
-                )
+            key, condition = "mean_time_to.%d" % i, entry["condition"]
+            yield row("mean_time_to", condition, entry["mean_time"], key, "mean_time")
+            for n, within in enumerate(entry["within"]):
+                title, chance = "probability within %g s" % within["time"], within["probability"]
+                yield row(title, condition, chance, key, "within.%d" % n)

@@ -53,7 +53,7 @@ _PARTS = 1_000
 
 _OPTIONS: Arguments = {
     "--json": "print all answers as one JSON object",
-    Argument("--csv", "FILE"): "write the numbers to FILE as rows: measure, name, value",
+    Argument("--csv", "FILE"): "write the numbers to FILE as rows: measure, name, value, low, high",
 }
 
 _QUESTIONS: Arguments = {
@@ -188,7 +188,7 @@ def _run(args: argparse.Namespace) -> int:
         if args.csv:
             with Path(args.csv).open("w", newline="", encoding="utf-8") as file:
                 writer = csv.writer(file)
-                writer.writerow(("measure", "name", "value"))
+                writer.writerow(("measure", "name", "value", "low", "high"))
                 writer.writerows(rows(data))
     finally:  # the answers are printed, even if they cannot be written
         _print(data, left_out, args.json)

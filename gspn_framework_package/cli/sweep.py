@@ -95,6 +95,10 @@ def run(args: argparse.Namespace) -> int:
     finally:
         if store is not None:
             store.close()
+    if args.exact and any(half != 0 for *_, half in _measured(points, wanted)):
+        notes.append(
+            "where there is a half width, durations are replaced by phases of the same mean"
+        )
     try:
         if args.output:
             _write(args.output, sweep, points, wanted)

@@ -19,6 +19,7 @@ from typing import Any, Dict, List, Optional, Union
 import numpy as np
 
 from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.intervals import steady_intervals
 from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.plan.structure import may_lose_robots
 from gspn_framework_package.analysis.plan.subnets import TITLES
@@ -198,7 +199,8 @@ def exact_paces(
     subject: Union[Net, Plan], seconds: Optional[float], progress: Progress
 ) -> Dict[str, Any]:
     """The firings per second of each transition in the long run, by the Markov chain of so many
-    ``states``, or ``why`` there is no such answer within so many seconds."""
+    ``states``, with the half widths of their intervals where durations are replaced; or ``why``
+    there is no such answer within so many seconds."""
     if isinstance(subject, Plan):
         differing = PlanTiming(subject).differing
         if differing:
@@ -207,13 +209,14 @@ def exact_paces(
     limits = Limits(seconds=seconds or 1.0, memory=ANALYSIS_MEMORY // 2)
     try:
         analysis = Analysis(subject, limits=limits, structure=False, progress=progress)
-        found = report(analysis, Questions(structure=False))
+        found = steady_intervals(analysis)["throughput"]
     except GspnError as error:
         return {"why": error.message}
-    steady, why = found.get("steady_state"), found["undecided"]
-    if not steady:
-        return {"why": str(next(iter(why.values()), "the chain has no steady state"))}
-    return {"states": found["states"]["total"], "throughput": steady["throughput"]}
+    return {
+        "states": analysis.space.count(slice(None)),
+        "throughput": {name: value for name, (value, _) in found.items()},
+        "half_widths": {name: _readable(half) for name, (_, half) in found.items()},
+    }
 
 
 def _decide(

@@ -23,6 +23,7 @@ from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Seq
 from gspn_framework_package import __version__
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.executors import Executor, LocalExecutor, WorkItem, Workload
+from gspn_framework_package.analysis.intervals import steady_intervals
 from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.plan.subnets import TITLES
 from gspn_framework_package.analysis.simulation import Asked, Simulation, SimulationWork, finished
@@ -55,7 +56,8 @@ class SweepPoint(NamedTuple):
     :ivar number: its number in the grid, from 0.
     :ivar values: a value for each variation.
     :ivar key: a digest of all that the measures depend on.
-    :ivar replications: number of runs; 0: the measures are exact.
+    :ivar replications: number of runs; 0: the measures are computed, and have half widths only
+        where durations are not represented exactly.
     """
 
     number: int
@@ -181,16 +183,19 @@ class Sweep:
 
 def _analyse(shared: Any, subject: Any, watch: Watch) -> PointMeasures:
     limits, timing = shared
-    found = Analysis(
+    analysis = Analysis(
         subject,
         limits=limits,
         timing=timing if isinstance(subject, Plan) else None,
         structure=False,
         cancel=watch.cancelled,
-    ).measures
+    )
     return {
-        "mean_tokens": {name: (value, 0.0) for name, value in found.mean_tokens.items()},
-        "throughput": {name: (value, 0.0) for name, value in found.throughput.items()},
+        measure: {
+            name: (value, half if math.isfinite(half) else None)
+            for name, (value, half) in found.items()
+        }
+        for measure, found in steady_intervals(analysis).items()
     }
 
 

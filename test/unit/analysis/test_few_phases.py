@@ -1,5 +1,6 @@
 """Durations that get fewer phases than they need, and the intervals of the answers that follow."""
 
+import csv
 import json
 
 import numpy as np
@@ -152,6 +153,26 @@ def test_what_shows_numbers_says_that_durations_are_replaced(tmp_path, capsys):
         assert said in capsys.readouterr().err, words
         assert main([*words, "--phases", "0"]) == 2
         assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_tables_have_the_intervals(tmp_path, capsys):
+    plan, file = interrupted(Duration.deterministic(2.0)), tmp_path / "a.csv"
+    done = np.exp(-0.8 * 2.0)
+    truth = done / ((1 - done) / 0.8 + 1)
+    code, _ = analysed(tmp_path, capsys, plan, "--csv", str(file), "--mean-time-to", "Rest=1")
+    rows = {(measure, name): rest for measure, name, *rest in csv.reader(file.open())}
+    assert (code, rows["measure", "name"]) == (0, ["value", "low", "high"])
+    value, low, high = map(float, rows["steady_state throughput", "done"])
+    assert low <= truth <= high and low < value < high
+    value, low, high = map(float, rows["mean_time_to", "Rest=1"])
+    assert low <= (1 - done) / 0.8 <= high and low < value < high
+    assert rows["places", ""] == ["2", "", ""]
+    words = ["--vary", "rate:alarm=0.8", "--exact", "--measure", "done", "--output", str(file)]
+    assert main(["sweep", str(tmp_path / "plan.json"), *words]) == 0
+    assert "durations are replaced" in capsys.readouterr().err
+    (row,) = csv.DictReader(file.open())
+    mean, half = float(row["mean"]), float(row["half_width"])
+    assert 0 < half < 0.1 and mean - half <= truth <= mean + half
 
 
 def test_short_logs_make_intervals_wider(tmp_path, capsys):

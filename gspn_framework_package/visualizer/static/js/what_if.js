@@ -187,12 +187,16 @@ export class WhatIf {
 
   /** What the Markov chain says of a curve. */
   exactly(name, end) {
-    const { states, throughput, why } = this.exact || {};
+    const { states, throughput, half_widths: halves, why } = this.exact || {};
     if (why) return ` No exact answer: ${why}.`;
     if (!throughput) return "";
-    const pace =
-      name === ALL ? Object.values(throughput).reduce((a, b) => a + b, 0) : throughput[name];
-    return ` Exactly ${number(pace * end)} on average in the long run (Markov chain of ${number(states)} states).`;
+    const all = (values) => Object.values(values).reduce((a, b) => a + b, 0);
+    const [pace, half] = [throughput, halves].map((of) => (name === ALL ? all(of) : of[name]));
+    const count = half ? `About ${number(pace * end)}` : `Exactly ${number(pace * end)}`;
+    const off = half
+      ? ` give or take ${number(Number((half * end).toPrecision(2)))}, since durations are replaced,`
+      : "";
+    return ` ${count}${off} on average in the long run (Markov chain of ${number(states)} states).`;
   }
 
   draw() {
