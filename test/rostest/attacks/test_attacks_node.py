@@ -28,7 +28,7 @@ from gspn_framework_package.team.seal import SEALED, Seal, make_team_key, read_t
 ROBOTS = ("robot_1", "robot_2", "robot_3")
 ACTIONS = """
 def work(is_cancelled):
-    is_cancelled.wait(0.02)
+    is_cancelled.wait(0.1)
 """
 
 
