@@ -47,7 +47,7 @@ class LaunchFilesTest(unittest.TestCase):
         wait_for(lambda: self.moves[run, robot] >= wanted, 40, "moves of %s" % robot)
 
     def state(self, namespace):
-        rospy.wait_for_service(namespace + "/get_state", 20)
+        rospy.wait_for_service(namespace + "/get_state", 20 * PATIENCE)
         return rospy.ServiceProxy(namespace + "/get_state", GetState)()
 
     def test_a_team_moves_and_a_robot_that_dies_is_started_again_and_goes_on(self):

@@ -16,7 +16,7 @@ import xmlrpc.client
 import rosgraph
 import rospy
 from forked import ForkedScript
-from waiting import wait_for
+from waiting import PATIENCE, wait_for
 
 from gspn_framework_package.execution.event_log import read_log
 from gspn_framework_package.execution.verifier import verify
@@ -67,7 +67,7 @@ class Robot:
 
     def exit_code(self, seconds=20):
         """Wait until the node has ended by itself."""
-        return self.process.wait(timeout=seconds)
+        return self.process.wait(seconds * PATIENCE)
 
     def said(self):
         with open(self.output) as file:
