@@ -30,12 +30,18 @@ export class AnswerPieces {
   }
 
   /** The interval of an answer, to follow its number; empty if it has none. */
-  within(result, key, name) {
+  within(result, key, name, digits = 4, to = " to ") {
     const found = result.intervals?.[key];
     const ends = Array.isArray(found) ? found : found?.[name];
     if (!ends) return "";
-    const [low, high] = ends.map((end) => number(Number(end.toPrecision(4))));
-    return ` (${low} to ${high})`;
+    const [low, high] = ends.map((end) => number(Number(end.toPrecision(digits))));
+    return ` (${low}${to}${high})`;
+  }
+
+  /** An answer in a table: its interval is below it, since names need the width. */
+  cell(result, key, name, value) {
+    const ends = this.within(result, key, name, 3, "–").trim();
+    return [number(value), ends && h("div.muted", ends)];
   }
 
   /** Why answers have intervals, if they have. */

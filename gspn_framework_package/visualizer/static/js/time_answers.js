@@ -13,7 +13,7 @@ export function steadyState(show, result) {
   const states = result.likely_states || [];
   const stay = ({ mean_stay: value }) => (value === "infinite" ? "forever" : number(value));
   const titled = show.titled(result, "timing");
-  const within = (key, name) => show.within(result, `steady_state.${key}`, name);
+  const cell = (key, name, value) => show.cell(result, `steady_state.${key}`, name, value);
   if (steady.reward !== undefined) {
     const ends = show.within(result, "steady_state", "reward");
     titled.unshift(["Reward", `${number(steady.reward)} /s${ends}`]);
@@ -52,17 +52,14 @@ export function steadyState(show, result) {
       ["Place", "mean", "wait (s)"],
       tokens.map(([name, value]) => [
         show.node(name),
-        number(value) + within("mean_tokens", name),
-        number(waits.get(name) ?? null) + within("mean_waiting_time", name),
+        cell("mean_tokens", name, value),
+        cell("mean_waiting_time", name, waits.get(name) ?? null),
       ]),
     ),
     h("h3", "Throughput (1/s)"),
     show.table(
       ["Transition", "firings"],
-      flows.map(([name, value]) => [
-        show.node(name),
-        number(value) + within("throughput", name),
-      ]),
+      flows.map(([name, value]) => [show.node(name), cell("throughput", name, value)]),
     ),
     show.whyIntervals(result),
     show.distribution(steady.token_distribution),
