@@ -107,15 +107,19 @@ class RunNet(PlanRules):
 
     def marking(self, state: State) -> Marking:
         """The marking of a state: all robots of each place."""
-        counts = [0] * len(self.parts)
+        counts = [0] * (len(self.parts) + 1)
         places = self._place_of
         for column in itertools.compress(range(len(state)), state):
             counts[places[column]] += state[column]
-        return tuple(counts)
+        return tuple(counts[:-1])
 
     @cached_property
     def _place_of(self) -> List[int]:
-        return [p for p, (first, end) in enumerate(self.parts) for _ in range(first, end)]
+        """The place of each column; ``stopped`` has none, which is one more than there are."""
+        places = [len(self.parts)] * self.width
+        for p, (first, end) in enumerate(self.parts):
+            places[first:end] = [p] * (end - first)
+        return places
 
     def is_over(self, marking: Marking) -> bool:
         """Whether ``until`` holds, so that the run ends."""
