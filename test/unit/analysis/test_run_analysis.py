@@ -54,6 +54,28 @@ def plan_of(net, durations=None, rows=(), **more):
     ).validate()
 
 
+def test_a_place_of_more_tokens_than_a_byte_counts():
+    builder = NetBuilder("parts").place("Idle", tokens=1).place("Busy").place("parts", tokens=300)
+    builder.exponential("take", inputs={"Idle": 1, "parts": 300}, outputs="Busy")
+    builder.exponential("give", inputs="Busy", outputs={"Idle": 1, "parts": 300})
+    durations = {"Idle": exponential(1.0), "Busy": exponential(2.0)}
+    plan = plan_of(builder.build(), durations, resource_places=frozenset(["parts"]))
+    assert Analysis(plan).measures.mean_tokens["parts"] == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize(
+    ("rule", "idle"), [(FailureRule.stop(), 0.0), (FailureRule.retry(1_000), 1 / 7)]
+)
+def test_a_failure_that_stops_the_team_moves_no_robot(rule, idle):
+    """The column that counts it is that of no place."""
+    net = NetBuilder("two").place("a", tokens=1).place("b")
+    net.exponential("there", inputs="a", outputs="b").exponential("back", inputs="b", outputs="a")
+    durations = {"a": exponential(1.0), "b": exponential(3.0)}
+    plan = plan_of(net.build(), durations, failures={"b": 0.5}, on_failure={"*": rule})
+    tokens = Analysis(plan).measures.mean_tokens
+    assert tokens == pytest.approx({"a": idle, "b": 1 - idle}, abs=1e-9)
+
+
 def pair():
     """A robot in ``a`` and one in ``b`` go on together."""
     return (
