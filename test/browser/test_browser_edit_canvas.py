@@ -222,7 +222,8 @@ def test_arcs_are_bent_by_hand(edit, tmp_path):
     key(page, "Shift+B", "Control+z", "Control+z", "Control+z")
     assert bends()[bent] == [[240, 150]]
     field = page.locator("#ed-properties input[data-key$='.bends']")
-    assert field.input_value() == "240 150"
+    shown = "() => document.querySelector(\"#ed-properties [data-key$='.bends']\").value"
+    page.wait_for_function(shown + " === '240 150'")
     field.fill("240 150 7")  # not pairs
     field.press("Enter")
     page.wait_for_selector("#ed-properties .wrong:has-text('x y x y')")

@@ -277,6 +277,7 @@ def test_properties_of_what_is_selected(editor, axe, picture):
     assert page.locator("#ed-properties [aria-invalid]").count() == 0
     page.click("#ed-undo")
     assert state(page) == before
+    settle(page)
     assert tokens.input_value() == "2"
     # undo works from the keyboard in a field that was entered, and the focus stays
     capacity = control(page, name + ".capacity")
@@ -330,6 +331,7 @@ def test_properties_of_what_is_selected(editor, axe, picture):
     control(page, "net.arc:Charger>plug_in.inhibitor").check()
     assert state(page)["net"]["arcs"][6]["inhibitor"] is True
     page.click("#ed-undo")
+    settle(page)
     assert not control(page, "net.arc:Charger>plug_in.inhibitor").is_checked()
     # an action is chosen from what there is; one that is not whole yet stays in the form
     choose(page, "place:Sort")
