@@ -38,7 +38,6 @@ class FunctionActions(JobRunner):
             host.attempt_ended,
             cancel_grace=plan.cancel_grace,
             fault=host.warn,
-            run_here=host.run_here,
         )
 
     def _jobs_of(self, plan: Plan) -> Dict[str, Job]:

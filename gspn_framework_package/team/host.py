@@ -37,7 +37,6 @@ from gspn_framework_package.team.plan_examination import (
     why_refused_in_own_process,
     with_folder,
 )
-from gspn_framework_package.team.relay import Relay
 from gspn_framework_package.team.self_report import SelfReport, View
 from gspn_framework_package.team.sides import (
     LOOK_AGAIN,
@@ -77,8 +76,7 @@ class ReplicaHost:
     """Executes a plan for one robot, until the run is over.
 
     One thread, the *worker*, owns all state. Callbacks of the carrier and of the robot's parts only
-    put calls into its queue; the worker executes them one by one. It also runs actions that are
-    quick; when one is not, the worker continues on another thread (see :class:`Relay`).
+    put calls into its queue; the worker executes them one by one.
 
     Create it, :meth:`connect` it to its parts, then :meth:`start` it; if connecting fails,
     :meth:`discard` it.
@@ -146,8 +144,7 @@ class ReplicaHost:
         self._report: SelfReport
         self._others: Sequence[Callable[[], None]] = ()
         self._told_end: Callable[[str], None] = lambda robot: None
-        self._is_begun = False
-        self._relay = Relay(self._work, "worker")
+        self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
 
     def connect(
         self, carrier: Carrier, actions: ActionSide, others: Sequence[Callable[[], None]] = ()
@@ -204,7 +201,7 @@ class ReplicaHost:
         :param ended: receives the name of the robot when the host has ended.
         """
         self._told_end = ended
-        self._relay.start()
+        self._thread.start()
         self._events.start()
 
     def stop(self) -> None:
@@ -214,16 +211,12 @@ class ReplicaHost:
     def join(self, timeout: Optional[float] = None) -> None:
         """Wait up to ``timeout`` seconds until the host has ended; return at once if it was never
         started."""
-        self._relay.join(timeout)
+        if self._thread.ident is not None:
+            self._thread.join(timeout)
 
     def enqueue(self, function: Callable[..., Any], *arguments: Any) -> None:
         """Have the worker call ``function(*arguments)`` soon."""
         self._tasks.put((function, arguments))
-
-    def run_here(self, function: Callable[[], None]) -> None:
-        """Have the worker call a quick function before it waits; only called by the worker. The
-        function may take longer once in a while, but must not raise."""
-        self._relay.invite(function)
 
     def ask(self, question: Callable[[], AnswerT], timeout: float) -> AnswerT:
         """Call ``question()`` on the worker and return its result.
@@ -261,12 +254,13 @@ class ReplicaHost:
     # -- the worker --------------------------------------------------------------------------------
 
     def _work(self) -> None:
-        is_here = True
         try:
-            if not self._is_begun:
-                self._begin()
-            while is_here and self._running:
-                is_here = self._turn()
+            self._carry_out(self._replica.start(time.monotonic()))
+            self._note_team()
+            if self._replica.ledger.state.ended is not None:
+                self._is_over("was over before this node started")
+            while self._running:
+                self._turn()
         except Exception as error:
             self.exit_code, self.reason = 1, "%s: %s" % (type(error).__name__, error)
             if isinstance(error, GspnError):
@@ -274,23 +268,12 @@ class ReplicaHost:
             else:
                 self._reporter.error("the node failed", traceback=True)
         finally:
-            if is_here:
-                try:
-                    self._close()
-                finally:
-                    self._told_end(self.robot)
-                    self._relay.end()
+            try:
+                self._close()
+            finally:
+                self._told_end(self.robot)
 
-    def _begin(self) -> None:
-        self._is_begun = True
-        self._carry_out(self._replica.start(time.monotonic()))
-        self._note_team()
-        if self._replica.ledger.state.ended is not None:
-            self._is_over("was over before this node started")
-
-    def _turn(self) -> bool:
-        """Do what is due, wait for calls, and execute them. Returns whether the worker is still on
-        this thread."""
+    def _turn(self) -> None:
         now = time.monotonic()
         if now >= self._wake_at:
             self._wake_at = now + 1.0
@@ -307,13 +290,11 @@ class ReplicaHost:
                 self._step(interface.TimeOfDay(int(time.time())))
         if self._leave_at is not None and now >= self._leave_at:
             self._end()
-            return True
+            return
         action_due = self._actions.poll(now)
         if action_due is not None and action_due <= now + LOOK_AGAIN:
             self._status_reporter.note_change()  # the action side waits for something
         self._take_inputs()
-        if not self._relay.run_guests():
-            return False
         report = self._report
         told = self._status_reporter.poll(
             now, self._carrier, self._activity, report.team, report.diagnosis
@@ -333,7 +314,6 @@ class ReplicaHost:
                 break
             timeout = 0.0  # then only calls that are already waiting
         self._take_inputs()
-        return True
 
     def _look_at_breakpoints(self) -> None:
         """Read the file with the breakpoints again if it has changed."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from functools import partial
-from typing import Callable, Deque, Dict, Mapping, NamedTuple, Optional, Union
+from typing import Callable, Deque, Mapping, NamedTuple, Optional, Union
 
 from gspn_framework_package.execution.agreement.interface import ActionDone, AttemptFailed
 from gspn_framework_package.execution.firing import StartAction
@@ -19,9 +19,6 @@ from gspn_framework_package.team.patience import DEFAULT_PATIENCE, Patience, ear
 
 ENDING_TIME = 1.0
 """Seconds that a cancelled job has to end before its host ends."""
-
-QUICK = 0.001
-"""Seconds; the worker thread itself runs the job of a place that has usually taken less so far."""
 
 AttemptEnd = Union[ActionDone, AttemptFailed]
 """How an attempt ended, in the form that the replica expects."""
@@ -52,7 +49,6 @@ class JobRunner:
     :param cancel_grace: seconds that a job has to end after it was cancelled.
     :param fault: receives the text of a fault if a job does not end in that time.
     :param clock: the clock that the plan's times refer to.
-    :param run_here: has the worker thread run a quick job; None to run all jobs on other threads.
     """
 
     def __init__(
@@ -65,22 +61,18 @@ class JobRunner:
         cancel_grace: float = Plan.cancel_grace,
         fault: Callable[[str], None] = lambda text: None,
         clock: Clock = MACHINE_CLOCK,
-        run_here: Optional[Callable[[Callable[[], None]], None]] = None,
     ) -> None:
         self._jobs, self._timeout = jobs, timeout
         self._enqueue, self._ended, self._fault = enqueue, ended, fault
         self._patience, self._cancel_grace = patience, cancel_grace
         self._clock = clock
         self._pool = WorkerPool("job")
-        self._run_here = run_here
-        self._took: Dict[str, float] = {}  # place -> smoothed duration of its job
         self._current: Optional[_Running] = None
         self._cancelled: Deque[_Cancelled] = deque()
 
     def take_jobs(self, jobs: Mapping[str, Job], timeout: Callable[[str], Optional[float]]) -> None:
         """Run the jobs of another plan from now on; a running job continues."""
         self._jobs, self._timeout = jobs, timeout
-        self._took = {}
 
     def start(self, command: StartAction, now: float) -> None:
         """Start a job, cancelling the previous one if it still runs."""
@@ -165,19 +157,11 @@ class JobRunner:
             return
         running.started = True
 
-        times, place = self._took, running.job.place
-        usual = times.get(place, 2 * QUICK)
-
         def run() -> None:
-            begun = time.monotonic()
             end = attempt_job(running.job, prepared, running.attempt)
-            times[place] = usual + (time.monotonic() - begun - usual) / 8
             running.over = True
             self._enqueue(self._came_to_its_end, running, end)
 
-        if self._run_here is not None and usual < QUICK:
-            self._run_here(run)
-            return
         try:
             self._pool.submit(run)
         except RuntimeError as error:  # the system cannot create another thread

@@ -38,7 +38,6 @@ NET = {
 
 WORK = """
 import os
-import threading
 
 GATE = os.path.join(os.path.dirname(__file__), "open")
 
@@ -58,14 +57,6 @@ def broken():
 
 def forever(is_cancelled):
     is_cancelled.wait()
-
-
-def usually_quick(robot, is_cancelled):
-    with open(GATE, "a") as visits:
-        visits.write(threading.current_thread().name + "\\n")
-        number = visits.tell()
-    if number > 2000 and robot == "robot_1":
-        is_cancelled.wait()
 """
 
 
@@ -351,36 +342,6 @@ def test_a_function_that_fails_is_a_failed_attempt(write, team, function, more, 
     team.start(plan, "robot_1", "robot_2")
     team.wait_for(lambda: team.status("robot_1")["needs_operator"], "the failure")
     assert says in team.status("robot_1")["waits_for"]
-
-
-def test_an_action_that_is_quick_until_it_blocks_does_not_stop_its_robot(write, team):
-    """Quick actions run on the worker's thread."""
-    ring = {
-        "places": [{"name": "Here", "tokens": 2}, {"name": "There"}],
-        "transitions": [{"name": "go"}, {"name": "back"}],
-        "arcs": [
-            {"from": "Here", "to": "go"},
-            {"from": "go", "to": "There"},
-            {"from": "There", "to": "back"},
-            {"from": "back", "to": "Here"},
-        ],
-    }
-    robots = {"robot_1": "Here", "robot_2": "Here"}
-    actions = dict.fromkeys(("Here", "There"), "work.usually_quick")
-    plan = write(net=ring, robots=robots, actions=actions, until="Here > 2")
-    team.start(plan, *robots)
-    threads = Path(plan.folder) / "open"
-    team.wait_for(lambda: threads.exists() and threads.stat().st_size > 2000, "quick actions")
-    names = threads.read_text().split("\n")
-    assert names[0].startswith("job-") and "worker" in names
-    length = len(names)
-    team.wait_for(
-        lambda: threads.read_text().count("\n") > length + 50,
-        "the other robot, which needs votes of this one",
-    )
-    assert team.ask("robot_1", "set_place", "robot_1", "There").success  # cancels the action
-    assert team.ask("robot_1", "stop").success
-    assert {team.over.get(timeout=30 * PATIENCE) for _ in range(2)} == set(robots)
 
 
 @pytest.mark.long
