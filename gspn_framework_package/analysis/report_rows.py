@@ -6,6 +6,9 @@ from typing import Any, Iterator, Mapping, Optional, Tuple
 
 from gspn_framework_package.analysis.report_measures import Part
 
+TABLES = ("mean_tokens", "throughput", "mean_waiting_time")
+"""The answers about a distribution that are tables of numbers: name of a node -> number."""
+
 
 def titled(data: Mapping[str, Any], part: Optional[Part] = None) -> Iterator[Tuple[str, str]]:
     """The measures of a report that have a title, as (key, title); of one part, or of all."""
@@ -21,8 +24,9 @@ def rows(data: Mapping[str, Any]) -> Iterator[Tuple[str, str, Any, Any, Any]]:
 
     def row(measure: str, name: str, value: Any, key: str = "", of: str = "") -> Tuple[Any, ...]:
         span = spans.get(key)
-        ends = (span or {}).get(of or name) if not isinstance(span, list) else span
-        return (measure, name, value, *(ends or (None, None)))
+        if isinstance(span, dict):
+            span = span.get(of or name)
+        return (measure, name, value, *(span or (None, None)))
 
     for key in (
         "places",
@@ -46,7 +50,7 @@ def rows(data: Mapping[str, Any]) -> Iterator[Tuple[str, str, Any, Any, Any]]:
     for i, entry in enumerate(data.get("transient") or ()):
         parts.append(("transient at %g" % entry["time"], "transient.%d" % i, entry))
     for title, key, part in parts:
-        for measure in ("mean_tokens", "throughput", "mean_waiting_time"):
+        for measure in TABLES:
             for name, value in (part.get(measure) or {}).items():
                 yield row("%s %s" % (title, measure), name, value, "%s.%s" % (key, measure))
         for place, counts in (part.get("token_distribution") or {}).items():

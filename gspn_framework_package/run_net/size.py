@@ -40,6 +40,7 @@ class PhasesOfDurations:
                 count = number_of_phases(attempt.duration)
                 if count > 1:
                     self._many.append((p, attempt, count))
+        self._names = [run_net.net.places[p].name for p, _, _ in self._many]
 
     @property
     def most(self) -> float:
@@ -53,8 +54,7 @@ class PhasesOfDurations:
         """
         found = []
         distance = lru_cache(maxsize=None)(Phases.distance)
-        for p, attempt, count in self._many:
-            name = self._run_net.net.places[p].name
+        for name, (_, attempt, count) in zip(self._names, self._many):
             phases = phases_of(attempt.duration, most.get(name, MOST_PHASES))
             if attempt.duration.branches is None or len(phases.rates) < count:
                 before, now = attempt.duration.variation, phases.duration.variation
@@ -87,8 +87,8 @@ class PhasesOfDurations:
         """The same, of the distinct rows of :meth:`_doing` and how often there is each."""
         doing, times = distinct
         total = times.astype(np.float64)
-        for robots, (p, (*_, duration, _), _) in zip(doing.T, self._many):
-            k = number_of_phases(duration, most.get(self._run_net.net.places[p].name, MOST_PHASES))
+        for robots, name, (_, (*_, duration, _), _) in zip(doing.T, self._names, self._many):
+            k = number_of_phases(duration, most.get(name, MOST_PHASES))
             total *= np.array([_spreadings(n, k) for n in range(robots.max() + 1)])[robots]
         return float(total.sum())
 
@@ -101,13 +101,13 @@ class PhasesOfDurations:
     @property
     def everything(self) -> Dict[str, float]:
         """As many phases as each duration needs."""
-        return dict.fromkeys([self._run_net.net.places[p].name for p, _, _ in self._many], math.inf)
+        return dict.fromkeys(self._names, math.inf)
 
     @property
     def enough(self) -> Dict[str, float]:
         """Fewer phases for the durations that need more than are represented."""
-        too_long = [self._run_net.net.places[p].name for p, _, k in self._many if k > MOST_PHASES]
-        return dict.fromkeys(too_long, _ENOUGH)
+        named = zip(self._names, self._many)
+        return {name: _ENOUGH for name, (_, _, k) in named if k > MOST_PHASES}
 
     def chosen(self, states: Sequence[State], shares: np.ndarray, limit: float) -> Dict[str, int]:
         """As many phases for the durations of each place as make about ``limit`` states: equally
@@ -120,7 +120,7 @@ class PhasesOfDurations:
         """
         doing = self._doing(states)
         spent, distinct = shares @ doing, _distinct(doing)
-        names = [self._run_net.net.places[p].name for p, _, _ in self._many]
+        names = self._names
         longest = max(visit.duration.mean for visit in self._run_net.timing.values())
         most = dict.fromkeys(names, 1)
 
@@ -160,8 +160,7 @@ class PhasesOfDurations:
         durations that it does not represent exactly; empty if there are none. Those with one phase
         vary twice as much, or as they do if that is more: more variation changes less and less."""
         found: Dict[str, float] = {}
-        for p, (*_, duration, _), count in self._many:
-            name = self._run_net.net.places[p].name
+        for name, (_, (*_, duration, _), count) in zip(self._names, self._many):
             allowed = most.get(name, MOST_PHASES)
             if duration.branches is not None and allowed >= count:
                 continue
