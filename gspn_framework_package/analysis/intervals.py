@@ -24,7 +24,7 @@ from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.plan.space import PlanSpace
 from gspn_framework_package.analysis.quantiles import student
 from gspn_framework_package.analysis.report_measures import Part
-from gspn_framework_package.analysis.report_rows import TABLES, titled
+from gspn_framework_package.analysis.report_rows import NODE_TABLES, titled
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.run_net.compiling import one_phase_each
 
@@ -176,7 +176,7 @@ def _tables(data: Mapping[str, Any]) -> AnswerTables:
     parts: List[Tuple[str, Any]] = [("steady_state", data.get("steady_state"))]
     parts += [("transient.%d" % i, part) for i, part in enumerate(data.get("transient") or ())]
     for key, part in parts:
-        found.update(("%s.%s" % (key, of), part[of]) for of in TABLES if of in (part or ()))
+        found.update(("%s.%s" % (key, of), part[of]) for of in NODE_TABLES if of in (part or ()))
         if part and "reward" in part:
             found[key] = {"reward": part["reward"]}
     for key, _ in titled(data, Part.TIMING):

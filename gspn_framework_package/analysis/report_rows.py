@@ -6,7 +6,7 @@ from typing import Any, Iterator, Mapping, Optional, Tuple
 
 from gspn_framework_package.analysis.report_measures import Part
 
-TABLES = ("mean_tokens", "throughput", "mean_waiting_time")
+NODE_TABLES = ("mean_tokens", "throughput", "mean_waiting_time")
 """The answers about a distribution that are tables of numbers: name of a node -> number."""
 
 
@@ -50,7 +50,7 @@ def rows(data: Mapping[str, Any]) -> Iterator[Tuple[str, str, Any, Any, Any]]:
     for i, entry in enumerate(data.get("transient") or ()):
         parts.append(("transient at %g" % entry["time"], "transient.%d" % i, entry))
     for title, key, part in parts:
-        for measure in TABLES:
+        for measure in NODE_TABLES:
             for name, value in (part.get(measure) or {}).items():
                 yield row("%s %s" % (title, measure), name, value, "%s.%s" % (key, measure))
         for place, counts in (part.get("token_distribution") or {}).items():
