@@ -8,6 +8,7 @@ pytest.importorskip("rospy")
 pytest.importorskip("actionlib.msg")
 
 from gspn_framework_package.cli.main import main
+from gspn_framework_package.ros import action_kinds
 
 
 def check(tmp_path, capsys, action):
@@ -50,3 +51,10 @@ def test_what_is_not_known_here_is_said(tmp_path, capsys):
     assert (
         "no_such_package/NoAction" in text and "its fields were not checked (robot_1 in P)" in text
     )
+
+
+def test_a_plan_of_commands_needs_no_types(tmp_path, capsys, monkeypatch):
+    asked = []
+    monkeypatch.setattr(action_kinds, "look_at_actions", asked.append)
+    assert check(tmp_path, capsys, {"command": ["true"]}) == (0, [])
+    assert asked == []
