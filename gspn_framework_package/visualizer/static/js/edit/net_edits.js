@@ -1,9 +1,8 @@
 // Edits of a net, as functions from a state {plan, net, policy} to its changed parts. They do not depend on the page.
 
-import { arcKey } from "./rename.js";
-
 export const nodeKey = (kind, name) => `${kind}:${name}`;
-export { arcKey };
+/** The key of an arc in a selection. */
+export const arcKey = (arc) => `arc:${arc.from}>${arc.to}`;
 
 /** A copy of an object with some keys replaced; a key whose new value is undefined is removed. */
 export function changed(object, values) {

@@ -8,7 +8,7 @@ import { mendButton } from "./mend.js";
 import { NAMES } from "./names.js";
 import { PlanForm } from "./property_panel.js";
 import { ProposedRows } from "./proposed_rows.js";
-import { problemOfSum } from "./schema.js";
+import { problemOfSum, scaled } from "./schema.js";
 
 const ROWS = 20; // on one page of the table
 
@@ -454,7 +454,7 @@ export class PolicyPanel extends PlanForm {
               const { [name]: gone, ...rest } = whole.get();
               this.put(
                 whole,
-                gone === 1 || Number(gone) === 0 ? rest : fitted(rest),
+                gone === 1 || Number(gone) === 0 ? rest : scaled(rest),
                 `Change ${what}`,
               );
             },
@@ -475,7 +475,7 @@ export class PolicyPanel extends PlanForm {
           this.button(
             `${whole.key} fit`,
             "Scale to 1",
-            () => this.put(whole, fitted(whole.get()), `Change ${what}`),
+            () => this.put(whole, scaled(whole.get()), `Change ${what}`),
             {
               "aria-label": `Scale to 1: the probabilities of row ${i + 1}`,
             },
@@ -555,16 +555,4 @@ function withoutColumn(policy, i) {
     places: policy.places.filter((_, at) => at !== i),
     rows: policy.rows.map((row) => ({ ...row, marking: row.marking.filter((_, at) => at !== i) })),
   };
-}
-
-/** Probabilities scaled so that they add up to 1. */
-function fitted(choose) {
-  const names = Object.keys(choose);
-  const sum = names.reduce((total, name) => total + Number(choose[name]), 0);
-  return Object.fromEntries(
-    names.map((name) => [
-      name,
-      Number((sum > 0 ? Number(choose[name]) / sum : 1 / names.length).toPrecision(12)),
-    ]),
-  );
 }

@@ -2,6 +2,8 @@
 // of a PlanDocument, {plan, net, policy}.
 
 import { NAMES } from "./names.js";
+import { arcKey, changed } from "./net_edits.js";
+import { scaled, sumOf } from "./schema.js";
 
 const NAME = /^[\p{L}_][\p{L}\p{N}_.:]*$/u; // a name that needs no quotes in a condition; as in model/expression.py
 const TOKEN = /"[^"]*"|'[^']*'|[\p{L}_][\p{L}\p{N}_.:]*/gu;
@@ -11,9 +13,6 @@ const WORDS = new Set(
 );
 
 const nodesOf = (net, kind) => (kind === "place" ? net.places : net.transitions);
-
-/** The key of an arc in a selection. */
-export const arcKey = (arc) => `arc:${arc.from}>${arc.to}`;
 
 /** Why a node cannot be called `name`; "" if it can. `except`: its present name. */
 export function problemOfName(state, name, except = null) {
@@ -49,7 +48,7 @@ export function changedCondition(text, place) {
 
 /** A transition whose rate and weight name places by their new names. A removed place stays, and the check names it. */
 function withPlaces(transition, place) {
-  const changed = (text) =>
+  const written = (text) =>
     text.replace(COUNT, (whole, token) => {
       const name = /^["']/.test(token) ? token.slice(1, -1) : token;
       const now = place(name) ?? name;
@@ -58,8 +57,7 @@ function withPlaces(transition, place) {
     });
   let now = transition;
   for (const key of ["rate", "weight"])
-    if (typeof now[key] === "string" && changed(now[key]) !== now[key])
-      now = { ...now, [key]: changed(now[key]) };
+    if (typeof now[key] === "string") now = with_(now, { [key]: written(now[key]) });
   return now;
 }
 
@@ -86,55 +84,142 @@ function mappedList(list, item, lost = () => {}) {
   return same(list, after) ? list : after;
 }
 
-const PLACE_KEYS = [
-  "actions",
-  "on_failure",
-  "timeout",
-  "on_evict",
-  "durations",
-  "outcomes",
-  "failures",
-];
-const PLACE_LISTS = ["resource_places", "spawn", "chance"];
-const TRANSITION_KEYS = ["routing", "events", "rates"];
-const WHAT = {
-  actions: "the action",
-  on_failure: "the failure rule",
-  timeout: "the time-out",
-  on_evict: "the resources given back on eviction",
-  durations: "the duration",
-  outcomes: "the outcomes",
-  failures: "the probability of failure",
-  routing: "the routing",
-  events: "the event",
-  rates: "the rate that replaces the net's",
-};
+const keep = (it) => it;
+
+/** An object with some of its values replaced; the same one if nothing changes. */
+const with_ = (object, values) =>
+  Object.entries(values).every(([key, value]) => object[key] === value)
+    ? object
+    : { ...object, ...values };
 
 /** The state with every name of a place or a transition changed. `place(name)` and `transition(name)` return the new
  * name, or null for a removed node: whatever refers to it is removed too and reported by `said`. */
 function changedNames(state, place, transition, said) {
-  const { net, plan, policy } = state;
+  const { plan, policy } = state;
   const node = (name) => {
     const now = place(name);
     return now === name ? transition(name) : now;
+  };
+
+  // what changes the value of a key: maps, lists, and objects with known fields
+  const map = (key, value, lost) => (it) => mapped(it, key, value, lost);
+  const by = (key, what, value) => map(key, value, (name) => said(`${what} of '${name}'`));
+  const list = (item, lost) => (it) => mappedList(it, item, lost);
+  const fields = (how) => (it) => {
+    if (!it || typeof it !== "object") return it;
+    const there = Object.entries(how).filter(([key]) => it[key]);
+    return with_(it, Object.fromEntries(there.map(([key, change]) => [key, change(it[key])])));
+  };
+  const optional = (change) => (name) => (name ? change(name) : name);
+  const filled = (change) => (it) => {
+    const now = change(it);
+    return now !== it && !Object.keys(now).length ? null : now;
+  };
+  const reported = (change, text) => (it) => {
+    const now = change(it);
+    if (now === null) said(text(it));
+    return now;
   };
   const fires = (text) => {
     if (typeof text !== "string" || !text.startsWith("fire ")) return text;
     const now = transition(text.slice(5));
     return now === null ? null : now === text.slice(5) ? text : `fire ${now}`;
   };
-  const with_ = (object, values) =>
-    Object.entries(values).every(([key, value]) => object[key] === value)
-      ? object
-      : { ...object, ...values };
+  const action = fields({
+    outcomes: map(keep, optional(transition)),
+    share: map(keep, place, (name) => said(`the share of '${name}'`)),
+  });
+  const startsThere = (name) => said(`the robot '${name}', which starts there`);
+  const robot = fields({ place, actions: map(place, action) });
+  const outcomes = (entry) => {
+    const before = entry?.probabilities;
+    const left = before && filled(map(optional(transition)))(before);
+    if (left === before) return entry;
+    return left && { ...entry, probabilities: adjusted(left, before) };
+  };
 
-  // the net
+  const changes = {};
+  const RULES = {
+    actions: by(place, "the action", action),
+    on_failure: by(
+      place,
+      "the failure rule",
+      reported(
+        (rule) => (typeof rule === "string" ? fires(rule) : mapped(rule, keep, fires)),
+        (rule) => `the rule '${rule}'`,
+      ),
+    ),
+    timeout: by(place, "the time-out"),
+    on_evict: by(place, "the resources given back on eviction", map(place)),
+    durations: by(place, "the duration"),
+    outcomes: by(place, "the outcomes", outcomes),
+    failures: by(place, "the probability of failure"),
+    routing: by(transition, "the routing", filled(map(place, place))),
+    events: by(transition, "the event"),
+    rates: by(transition, "the rate that replaces the net's"),
+    resource_places: list(place),
+    spawn: list(place, () => said("a place of 'spawn'")),
+    chance: list(place),
+    robots: (robots) =>
+      Array.isArray(robots)
+        ? mappedList(
+            robots,
+            (it) => (place(it.place) === null ? null : robot(it)),
+            ({ name }) => startsThere(name),
+          )
+        : mapped(robots, keep, place, startsThere),
+    own_times: (times) => {
+      const left = plan.robots && new Set(NAMES.robots({ plan: { ...plan, ...changes } }));
+      const own = { durations: map(place), outcomes: map(place, outcomes), failures: map(place) };
+      return mapped(times, (name) => (!left || left.has(name) ? name : null), fields(own));
+    },
+    tasks: fields({
+      queues: list(place),
+      order: map(place),
+      on_cancel: map(place, optional(transition), (name) =>
+        said(`where a robot goes from '${name}' if its task is cancelled`),
+      ),
+      done: list(transition),
+    }),
+    on_lost: reported(fires, (rule) => `the rule '${rule}' for lost robots`),
+    until: reported(
+      (text) => changedCondition(text, place),
+      (text) => `the condition “until” (${text})`,
+    ),
+    groups: map(keep, filled(list(node))),
+    subnets: map(place, (part) =>
+      [part.entry, part.exit].map(place).includes(null)
+        ? null
+        : fields({
+            entry: place,
+            exit: place,
+            places: list(place),
+            transitions: list(transition),
+            parent: (name) => place(name) ?? undefined,
+          })(part),
+    ),
+  };
+
+  const net = changedNet(state.net, place, transition, node, said);
+  for (const key of Object.keys(RULES).filter((it) => plan[it])) {
+    const value = RULES[key](plan[key]);
+    const empty = value === null || (key !== "actions" && !Object.keys(value).length);
+    if (value !== plan[key]) changes[key] = empty ? undefined : value;
+  }
+  return {
+    plan: Object.keys(changes).length ? changed(plan, changes) : plan,
+    net,
+    policy: policy && changedPolicy(policy, place, transition, said),
+  };
+}
+
+function changedNet(net, place, transition, node, said) {
   const named = (change) => (it) => {
-    const now = change(it.name);
-    return now === null ? null : with_(it, { name: now });
+    const name = change(it.name);
+    return name === null ? null : with_(it, { name });
   };
   let arcs = 0;
-  const newNet = with_(net, {
+  const result = with_(net, {
     places: mappedList(net.places, named(place)),
     transitions: mappedList(net.transitions, (it) => named(transition)(withPlaces(it, place))),
     arcs: mappedList(
@@ -149,198 +234,12 @@ function changedNames(state, place, transition, said) {
     ),
   });
   if (arcs) said(arcs === 1 ? "an arc" : `${arcs} arcs`);
-
-  // actions: the transitions of their outcomes, and the resources that a subnet shares
-  const action = (it) => {
-    if (!it || typeof it !== "object") return it;
-    let now = it;
-    if (it.outcomes) {
-      const outcomes = mapped(
-        it.outcomes,
-        (k) => k,
-        (t) => (t ? transition(t) : t),
-      );
-      if (outcomes !== it.outcomes) now = { ...now, outcomes };
-    }
-    if (it.share) {
-      const share = mapped(
-        it.share,
-        (k) => k,
-        (p) => place(p),
-        (k) => said(`the share of '${k}'`),
-      );
-      if (share !== it.share) now = { ...now, share };
-    }
-    return now;
-  };
-  const values = {};
-  const put = (key, value, empty = Object.keys(value ?? {}).length === 0) => {
-    if (value !== plan[key]) values[key] = empty && key !== "actions" ? undefined : value;
-  };
-  const VALUE = {
-    actions: action,
-    on_failure: (rule) => {
-      const now = typeof rule === "string" ? fires(rule) : mapped(rule, (k) => k, fires);
-      if (now === null) said(`the rule '${rule}'`);
-      return now;
-    },
-    on_evict: (returned) => mapped(returned, place),
-    outcomes: (entry) => {
-      if (!entry?.probabilities) return entry;
-      const probabilities = mapped(entry.probabilities, (t) => (t ? transition(t) : t));
-      if (probabilities === entry.probabilities) return entry;
-      if (!Object.keys(probabilities).length) return null;
-      return { ...entry, probabilities: adjusted(probabilities, entry.probabilities) };
-    },
-    routing: (ways) => {
-      const now = mapped(ways, place, place);
-      return Object.keys(now).length ? now : null;
-    },
-  };
-  for (const [keys, change] of [
-    [PLACE_KEYS, place],
-    [TRANSITION_KEYS, transition],
-  ])
-    for (const key of keys)
-      if (plan[key])
-        put(
-          key,
-          mapped(plan[key], change, VALUE[key], (name) => said(`${WHAT[key]} of '${name}'`)),
-        );
-  for (const key of PLACE_LISTS)
-    if (plan[key])
-      put(
-        key,
-        mappedList(
-          plan[key],
-          place,
-          key === "spawn" ? () => said("a place of 'spawn'") : undefined,
-        ),
-      );
-
-  // robots
-  if (Array.isArray(plan.robots))
-    put(
-      "robots",
-      mappedList(
-        plan.robots,
-        (robot) => {
-          const at = place(robot.place);
-          if (at === null) return null;
-          const own = robot.actions && mapped(robot.actions, place, action);
-          return with_(robot, own ? { place: at, actions: own } : { place: at });
-        },
-        (robot) => said(`the robot '${robot.name}', which starts there`),
-      ),
-    );
-  else if (plan.robots)
-    put(
-      "robots",
-      mapped(
-        plan.robots,
-        (name) => name,
-        place,
-        (name) => said(`the robot '${name}', which starts there`),
-      ),
-    );
-
-  if (plan.own_times) {
-    const left = plan.robots && new Set(NAMES.robots({ plan: { ...plan, ...values } }));
-    const key = (robot) => (!left || left.has(robot) ? robot : null);
-    const times = (of) =>
-      Object.entries(of).map(([kind, it]) => [kind, mapped(it, place, VALUE[kind])]);
-    put(
-      "own_times",
-      mapped(plan.own_times, key, (of) => with_(of, Object.fromEntries(times(of)))),
-    );
-  }
-
-  // the rest of the plan
-  if (plan.tasks)
-    put(
-      "tasks",
-      with_(plan.tasks, {
-        ...(plan.tasks.queues && { queues: mappedList(plan.tasks.queues, place) }),
-        ...(plan.tasks.order && { order: mapped(plan.tasks.order, place) }),
-        ...(plan.tasks.on_cancel && {
-          on_cancel: mapped(
-            plan.tasks.on_cancel,
-            place,
-            (name) => (name ? transition(name) : name),
-            (name) => said(`where a robot goes from '${name}' if its task is cancelled`),
-          ),
-        }),
-        ...(plan.tasks.done && { done: mappedList(plan.tasks.done, transition) }),
-      }),
-    );
-  if (plan.on_lost) {
-    const now = fires(plan.on_lost);
-    if (now === null) said(`the rule '${plan.on_lost}' for lost robots`);
-    put("on_lost", now ?? undefined, false);
-  }
-  if (plan.until) {
-    const now = changedCondition(plan.until, place);
-    if (now === null) said(`the condition “until” (${plan.until})`);
-    put("until", now ?? undefined, false);
-  }
-  if (plan.groups)
-    put(
-      "groups",
-      mapped(
-        plan.groups,
-        (title) => title,
-        (nodes) => {
-          const left = mappedList(nodes, node);
-          return left?.length === 0 ? null : left;
-        },
-      ),
-    );
-  if (plan.subnets)
-    put(
-      "subnets",
-      mapped(plan.subnets, place, (part) => {
-        const [entry, exit] = [place(part.entry), place(part.exit)];
-        if (entry === null || exit === null) return null;
-        return with_(part, {
-          entry,
-          exit,
-          places: mappedList(part.places, place),
-          transitions: mappedList(part.transitions, transition),
-          ...(part.parent && { parent: place(part.parent) ?? undefined }),
-        });
-      }),
-    );
-  let newPlan = plan;
-  if (Object.keys(values).length) {
-    newPlan = {};
-    for (const key of Object.keys(plan)) {
-      const value = key in values ? values[key] : plan[key];
-      if (value !== undefined) newPlan[key] = value;
-    }
-  }
-  return {
-    plan: newPlan,
-    net: newNet,
-    policy: policy && changedPolicy(policy, place, transition, said),
-  };
+  return result;
 }
 
 /** The remaining probabilities, scaled to their previous sum. */
-function adjusted(left, before) {
-  if (Object.keys(left).length === Object.keys(before).length) return left;
-  const sum = (of) => Object.values(of).reduce((total, value) => total + Number(value), 0);
-  const [now, was] = [sum(left), sum(before)];
-  if (!(now > 0)) {
-    const each = was / Object.keys(left).length;
-    return Object.fromEntries(Object.keys(left).map((key) => [key, each]));
-  }
-  return Object.fromEntries(
-    Object.entries(left).map(([key, value]) => [
-      key,
-      Number(((Number(value) * was) / now).toPrecision(12)),
-    ]),
-  );
-}
+const adjusted = (left, before) =>
+  Object.keys(left).length === Object.keys(before).length ? left : scaled(left, sumOf(before));
 
 function changedPolicy(policy, place, transition, said) {
   const gone = policy.places.map((name) => place(name) === null);
@@ -370,28 +269,19 @@ function changedPolicy(policy, place, transition, said) {
         : `${lost.length} rows of the policy, which chose nothing else`,
     );
   if (rescaled) said(`its share in ${rescaled === 1 ? "a row" : `${rescaled} rows`} of the policy`);
-  const result = { ...policy };
-  let differs = places !== policy.places;
-  result.places = places;
-  if (!same(rows, policy.rows)) {
-    result.rows = rows;
-    differs = true;
-  }
-  if (policy.scopes) {
-    const before = (row) => row - lost.filter((at) => at < row).length;
-    const scopes = policy.scopes.map((scope) => {
-      const kept = mappedList(scope.places, place);
-      const [first, last] = scope.rows.map(before);
-      return kept === scope.places && first === scope.rows[0] && last === scope.rows[1]
-        ? scope
-        : { ...scope, places: kept, rows: [first, last] };
+  const before = (row) => row - lost.filter((at) => at < row).length;
+  const scopes = mappedList(policy.scopes, (scope) => {
+    const numbers = scope.rows.map(before);
+    return with_(scope, {
+      places: mappedList(scope.places, place),
+      rows: same(numbers, scope.rows) ? scope.rows : numbers,
     });
-    if (!same(scopes, policy.scopes)) {
-      result.scopes = scopes;
-      differs = true;
-    }
-  }
-  return differs ? result : policy;
+  });
+  return with_(policy, {
+    places,
+    rows: same(rows, policy.rows) ? policy.rows : rows,
+    ...(scopes && { scopes }),
+  });
 }
 
 /** The state with a place or a transition renamed. The names inside a place that stands for a plan begin with its name

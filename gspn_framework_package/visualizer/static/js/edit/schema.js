@@ -29,9 +29,22 @@ export function resolved(schema, root) {
   return resolved({ ...found, ...changed(schema, { $ref: undefined }) }, root);
 }
 
-/** What is wrong with the sum of probabilities: name -> probability. */
+/** The sum of probabilities: name -> probability. */
+export const sumOf = (probabilities) =>
+  Object.values(probabilities).reduce((total, it) => total + Number(it), 0);
+
+/** Probabilities scaled so that they add up to `total`. */
+export function scaled(probabilities, total = 1) {
+  const names = Object.keys(probabilities);
+  const sum = sumOf(probabilities);
+  const share = (name) =>
+    sum > 0 ? (Number(probabilities[name]) * total) / sum : total / names.length;
+  return Object.fromEntries(names.map((name) => [name, Number(share(name).toPrecision(12))]));
+}
+
+/** What is wrong with the sum of probabilities. */
 export function problemOfSum(probabilities = {}) {
-  const sum = Object.values(probabilities).reduce((total, it) => total + Number(it), 0);
+  const sum = sumOf(probabilities);
   return Math.abs(sum - 1) <= TOLERANCE
     ? ""
     : `the probabilities add up to ${Number(sum.toPrecision(6))}, not 1`;
