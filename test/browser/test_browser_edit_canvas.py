@@ -166,7 +166,13 @@ def test_a_net_is_drawn_by_pointer(edit, picture):
     assert net(page) == before
     pasted = [
         {"name": "chosen", "timed": False, "weight": 0, "position": [0, 0]},
-        {"name": "waits", "timed": True, "rate": "2 * #Home", "position": [0, 60]},
+        {
+            "name": "waits",
+            "timed": True,
+            "rate": "2 * #Home",
+            "servers": None,
+            "position": [0, 60],
+        },
     ]
     part = {"gspn-part": 1, "places": [], "transitions": pasted, "arcs": []}
     page.evaluate(paste, json.dumps(part))
@@ -174,6 +180,8 @@ def test_a_net_is_drawn_by_pointer(edit, picture):
         (0, None),
         (None, "2 * #Home"),
     ]
+    key(page, "Control+d")
+    assert [t.get("servers", 1) for t in net(page)["transitions"][1:]] == [1, None, 1, None]
 
 
 def _inside(page, name):

@@ -4,8 +4,9 @@ import { attempt, plural } from "../dom.js";
 import { post } from "../api.js";
 import { bendsOf } from "../arc_routes.js";
 import { GRID, arranged, onGrid } from "./arrange.js";
-import { copied, fitted, parsed } from "./clipboard.js";
+import { copied, fitted, parsed, partText } from "./clipboard.js";
 import { renamed, without, problemOfName } from "./rename.js";
+import { planSchema } from "./schema.js";
 import {
   changed,
   addParts,
@@ -416,17 +417,21 @@ export class Actions {
     this.mode.say(`${plural(this.mode.selection.size, "element")} chosen`);
   }
 
+  /** The selection as a part of a net; null, and said so, if no node is selected. */
+  part(act) {
+    const { mode } = this;
+    const part = copied(mode.document.state, mode.selection, mode.canvas.positions());
+    if (!part) mode.say(`Select places or transitions to ${act}.`);
+    return part;
+  }
+
   /** The selection as text; it is also kept here. */
   copy() {
-    const { mode } = this;
-    const text = copied(mode.document.state, mode.selection, mode.canvas.positions());
-    if (!text) {
-      mode.say("Select places or transitions to copy.");
-      return "";
-    }
-    kept = text;
-    mode.say(`${plural(this.chosenNodes().length, "node")} copied`);
-    return text;
+    const part = this.part("copy");
+    if (!part) return "";
+    kept = partText(part);
+    this.mode.say(`${plural(this.chosenNodes().length, "node")} copied`);
+    return kept;
   }
 
   cut() {
@@ -436,17 +441,15 @@ export class Actions {
   }
 
   /** Paste a text, or the last copy. */
-  paste(text = kept) {
-    const part = parsed(text);
+  async paste(text = kept) {
+    const part = parsed(text, await planSchema());
     if (part) this.insert(part, "Paste");
     else this.mode.say("The clipboard does not contain a part of a net.");
   }
 
   duplicate() {
-    const { mode } = this;
-    const text = copied(mode.document.state, mode.selection, mode.canvas.positions());
-    if (text) this.insert(parsed(text), "Duplicate");
-    else mode.say("Select places or transitions to duplicate.");
+    const part = this.part("duplicate");
+    if (part) this.insert(part, "Duplicate");
   }
 
   /** Add a part of a net where it was drawn, or with its middle at a spot, drawn as large as it says (px). */

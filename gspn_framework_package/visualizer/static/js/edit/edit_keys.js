@@ -137,7 +137,10 @@ export function bindEditKeys(mode, signal) {
   const put = (data, text) => text && data.setData("text/plain", text);
   clip("copy", (data) => put(data, mode.actions.copy()));
   clip("cut", (data) => put(data, mode.actions.cut()));
-  clip("paste", (data) => mode.actions.paste(data.getData("text/plain") || undefined));
+  clip("paste", (data) => {
+    const text = data.getData("text/plain") || undefined;
+    attempt(() => mode.actions.paste(text));
+  });
 }
 
 function withControl(event, mode) {
