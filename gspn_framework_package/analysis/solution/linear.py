@@ -49,6 +49,11 @@ _REFINEMENTS = 2
 _STRIDE = 2
 """Sweeps between two accelerations; an acceleration costs about as much as one sweep."""
 
+_STALLED, _DAMPING = 250, 0.3
+"""If the residual has not halved in this many strides, each sweep is damped: this share of the
+values before it is kept. Sweeps over a chain in which time passes in cycles, as in Erlang phases,
+may only turn the error around; the mean of two of its turns is smaller."""
+
 _CHECKED = 8
 """The residual is computed after at most this many strides, and sooner once the changes are
 small."""
@@ -329,12 +334,18 @@ def iterate(
         point[part] = best[part] = image[part]
     best_residual = float("inf")
     halved, halved_at = best_residual, 0
-    unchecked = 0
+    unchecked = sweeps = 0
+    damped = False
     for stride in range(1, MAX_SWEEPS // _STRIDE + 1):
         for part in parts(size):
             image[part] = point[part]
-        for _ in range(_STRIDE):
+        damped = damped or stride - halved_at >= _STALLED
+        for _ in range(1 if damped else _STRIDE):
             image = sweep(image)
+            sweeps += 1
+        if damped:
+            for part in parts(size):
+                image[part] += _DAMPING * (point[part] - image[part])
         unchecked += 1
         # The change made by the sweeps shows, at no cost, when to compute the residual.
         largest, changed = _largest_terms(diagonal, point, image)
@@ -360,7 +371,7 @@ def iterate(
                 for part in parts(size):
                     point[part] = best[part]
                 continue
-            watch.step("sweeps (residual %.0e)" % now, stride * _STRIDE)
+            watch.step("sweeps (residual %.0e)" % now, sweeps)
         accelerated.next(point, image)
     total = 0.0
     for part in parts(size):
@@ -368,7 +379,7 @@ def iterate(
         total += float(image[part].sum())
     if scale is None:
         image /= total
-    return LinearSolution(image, best_residual, "Gauss-Seidel", stride * _STRIDE)
+    return LinearSolution(image, best_residual, "Gauss-Seidel", sweeps)
 
 
 def _largest_terms(diagonal: Vector, before: Vector, after: Floats) -> Tuple[float, float]:

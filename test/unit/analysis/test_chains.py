@@ -295,6 +295,20 @@ def test_a_good_order_saves_sweeps():
     assert ordered.values == pytest.approx(plain.values, abs=1e-12)
 
 
+@pytest.mark.parametrize("stages, states", [(3, 4), (7, 3)])
+def test_sweeps_are_damped_where_they_only_turn_the_error_around(stages, states):
+    """Every jump leads from one stage to the next, and the sweeps meet them in the wrong order."""
+    rates = np.zeros((stages, states, stages, states))
+    chance = np.random.default_rng(2)
+    for stage in range(stages):
+        rates[stage, :, (stage + 1) % stages, :] = chance.uniform(size=(states, states))
+    rates = rates.reshape(stages * states, stages * states)
+    system = sparse.csr_matrix(rates.T), rates.sum(axis=1), None
+    found = solve_linear(*system, backward=True, direct=0)
+    assert (found.method, found.residual < 1e-12) == ("Gauss-Seidel", True)
+    assert found.values == pytest.approx(solve_linear(*system).values, rel=1e-9)
+
+
 def test_no_other_order_where_that_of_discovery_is_as_good():
     chain = Chain.of(explore(kanban(2)))
     assert sweep_order(chain, np.arange(len(chain))) is None
