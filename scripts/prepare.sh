@@ -43,8 +43,10 @@ prepare() {
     exec 9>"$WORKSPACE/lock"
     flock 9  # if two commands start at once, they prepare one after the other
     prepare_system
-    prepare_venv
+    make_venv
+    prepare_venv &
     prepare_build
+    wait $! || exit
     exec 9>&-
 }
 
@@ -105,13 +107,16 @@ for name in ("click", "Flask", "itsdangerous", "Jinja2", "jsonschema", "lxml", "
 PYTHON
 }
 
+make_venv() {
+    [ -x "$VENV/bin/python" ] || /usr/bin/python3 -m venv --system-site-packages "$VENV" || die "cannot make $VENV"
+}
+
 prepare_venv() {
     local list=$ROOT/scripts/requirements.txt constraints=$WORKSPACE/constraints.txt key
     system_versions >"$constraints" || die "cannot find the versions of the system's libraries"
     key=$({ echo "$VENV"; /usr/bin/python3 --version; cat "$list" "$constraints"; } | sha256sum)
     [ "$(cat "$VENV/prepared" 2>/dev/null)" = "$key" ] && return 0
     say "installing Python packages into .workspace/venv"
-    [ -x "$VENV/bin/python" ] || /usr/bin/python3 -m venv --system-site-packages "$VENV" || die "cannot make $VENV"
     # Python compiles what is imported when it is, which is a small part of it
     local log=$WORKSPACE/pip.log pip=("$VENV/bin/python" -m pip install --no-compile --disable-pip-version-check)
     # the pip of Ubuntu 20.04 does not search for compatible versions
