@@ -135,7 +135,7 @@ class PlanSpace(StateSpace):
 
     @property
     def deadlocks(self) -> Indices:
-        """Numbers of states in which nothing goes on any more, one for each marking."""
+        """Numbers of the states that nothing leaves, one for each marking."""
         return self.distinct(super().deadlocks)
 
     def rated(self) -> RatedGraph:
