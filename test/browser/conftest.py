@@ -21,6 +21,8 @@ sys.path.append(str(Path(__file__).parents[1] / "rostest" / "support"))
 sys.path.append(str(Path(__file__).parents[1] / "unit"))
 sys.path.append(str(Path(__file__).parents[1] / "unit" / "visualizer"))
 
+from forked_workers import forked_workers
+
 sync_api = pytest.importorskip("playwright.sync_api")
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -61,6 +63,12 @@ def _browser():
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         yield browser
         browser.close()
+
+
+@pytest.fixture(scope="session", autouse=True, name="workers_are_forked")
+def _workers_are_forked():
+    with forked_workers():
+        yield
 
 
 class Site:
