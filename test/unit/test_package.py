@@ -433,12 +433,17 @@ def test_no_two_modules_import_each_other():
     assert cycles(imported) == []
 
 
-def test_no_two_scripts_of_the_page_import_each_other():
+def imports_of_scripts():
+    """Script of the page -> those that come with it; an ``import()`` loads one later."""
     imports = re.compile(r"""^(?:import|export)\b[^;]*?["'](\.[^"']+)["'];""", re.MULTILINE)
-    imported = {
+    return {
         path: {(path.parent / name).resolve() for name in imports.findall(path.read_text("utf-8"))}
         for path in SCRIPTS_OF_THE_PAGE
     }
+
+
+def test_no_two_scripts_of_the_page_import_each_other():
+    imported = imports_of_scripts()
     assert imported[PAGE / "edit" / "plan_panel.js"] == {
         PAGE / "edit" / "property_panel.js",
         PAGE / "edit" / "schema_form.js",
@@ -457,11 +462,13 @@ def test_the_style_of_the_page_keeps_to_a_grid_and_two_weights():
         assert set(weights) <= {"400", "600"}, (path.name, weights)
 
 
-def test_the_page_preloads_each_of_its_scripts():
-    text = (PACKAGE / "visualizer" / "static" / "index.html").read_text("utf-8")
-    preloaded = re.findall(r'<link rel="modulepreload" href="/static/js/([^"]+)">', text)
-    there = [path.relative_to(PAGE).as_posix() for path in SCRIPTS_OF_THE_PAGE]
-    assert sorted(preloaded) == sorted(set(there) - {"main.js"})
+def test_who_does_not_edit_loads_no_part_of_the_editor():
+    imported, reached, ahead = imports_of_scripts(), set(), {PAGE / "main.js"}
+    while ahead:
+        reached |= ahead
+        ahead = set().union(*(imported[path] for path in ahead)) - reached
+    assert PAGE / "edit" / "editor.js" in reached
+    assert not {PAGE / "edit" / name for name in ("mode.js", "files.js", "form.js")} & reached
 
 
 #: Services, topics and parameters of the nodes. A layout of Foxglove shows topics.

@@ -5,7 +5,6 @@ import gc
 import http.client
 import json
 import os
-import re
 import select
 import signal
 import socket
@@ -13,7 +12,6 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import psutil
 import pytest
@@ -22,7 +20,6 @@ from page_client import small_net
 from waiting import PATIENCE, wait_for
 
 from benchmarks.page.viewers import measure_memory
-from gspn_framework_package import visualizer
 from gspn_framework_package.cli.main import main
 from gspn_framework_package.visualizer import serving
 from gspn_framework_package.visualizer.documents import Document, Folder
@@ -350,12 +347,6 @@ def test_serve_serves_until_it_is_interrupted():
             assert process.stderr.read() == ""
         finally:
             process.kill()
-
-
-def test_the_page_names_all_its_modules_so_that_they_load_at_once():
-    static = Path(visualizer.__file__).parent / "static"
-    named = set(re.findall(r'"/static/js/([a-z_/]+\.js)"', (static / "index.html").read_text()))
-    assert named == {path.relative_to(static / "js").as_posix() for path in static.rglob("*.js")}
 
 
 @pytest.mark.parametrize("begins", [False, True])

@@ -1,13 +1,27 @@
 // Between the page and the mode EDIT: opens and leaves it, and keeps the documents that stay open.
 
-import { $, attempt } from "../dom.js";
+import { $, h, announce, ask, attempt } from "../dom.js";
 import { get } from "../api.js";
 import { hideOpening } from "../opening.js";
-import { hasUnsaved } from "./files.js";
-import { EditMode, mayLeave } from "./mode.js";
 import { mayEdit } from "./new_plan.js";
 
 const FILE = "file-";
+
+/** Whether there is work that is not in files: edits, or sources of functions. */
+export const hasUnsaved = ({ document, opened }) =>
+  document.dirty || Object.keys(opened.sources ?? {}).length > 0;
+
+/** Ask whether to discard unsaved work; `save` saves it, or is null. Returns whether to continue. */
+async function mayLeave(names, save) {
+  const answer = await ask("Leave without saving?", h("p", `Not saved: ${names.join(", ")}.`), [
+    ["Stay", ""],
+    ["Leave without saving", "leave", "danger"],
+    ...(save ? [["Save and leave", "save", "primary"]] : []),
+  ]);
+  if (answer === "save") return save();
+  announce(answer === "leave" ? "Left without saving" : "");
+  return answer === "leave";
+}
 
 export class Editor {
   constructor(page) {
@@ -44,7 +58,10 @@ export class Editor {
     hideOpening();
     const { page } = this;
     const kept = this.kept.get(key);
-    const opened = kept?.opened || (await attempt(() => get("edit", { id: key })));
+    // the mode is half of the page's modules, which whoever only watches does not need
+    const [{ EditMode }, opened] = (await attempt(() =>
+      Promise.all([import("./mode.js"), kept?.opened ?? get("edit", { id: key })]),
+    )) ?? [{}];
     if (!opened) {
       if (this.mode) history.replaceState(null, "", `#${encodeURIComponent(this.id)}&edit`);
       else page.go(key);

@@ -3,6 +3,7 @@
 import { $, h, ask, cancelOr, attempt, labelled, menu, textField, toast } from "../dom.js";
 import { get, post, send } from "../api.js";
 import { deployToARun } from "../deploy.js";
+import { hasUnsaved } from "./editor.js";
 import { changeList, changesBetween } from "./diff_view.js";
 import { packedHistory, unpackedHistory } from "./history.js";
 import { conflictText, merged, same } from "./merge.js";
@@ -37,10 +38,6 @@ const moment = (text) => {
   const at = new Date(typeof text === "number" ? text * 1000 : text);
   return Number.isNaN(at.getTime()) ? String(text) : at.toLocaleString();
 };
-
-/** Whether there is work that is not in files: edits, or sources of functions. */
-export const hasUnsaved = ({ document, opened }) =>
-  document.dirty || Object.keys(opened.sources ?? {}).length > 0;
 
 /** `mode.files`. */
 export class Files {

@@ -1,6 +1,6 @@
 // The mode EDIT: its section of the page, and what its parts share. Each panel and each tool is a separate part.
 
-import { $, h, announce, ask, attempt, menu, nextTab, textField, withArticle } from "../dom.js";
+import { $, h, attempt, menu, nextTab, textField, withArticle } from "../dom.js";
 import { post } from "../api.js";
 import { Actions, WORDS } from "./actions.js";
 import { ARRANGEMENTS } from "./arrange.js";
@@ -546,16 +546,4 @@ export class EditMode extends EventTarget {
     this.canvas.close();
     $("ed-page").replaceChildren();
   }
-}
-
-/** Ask whether to discard unsaved work; `save` saves it, or is null. Returns whether to continue. */
-export async function mayLeave(names, save) {
-  const answer = await ask("Leave without saving?", h("p", `Not saved: ${names.join(", ")}.`), [
-    ["Stay", ""],
-    ["Leave without saving", "leave", "danger"],
-    ...(save ? [["Save and leave", "save", "primary"]] : []),
-  ]);
-  if (answer === "save") return save();
-  announce(answer === "leave" ? "Left without saving" : "");
-  return answer === "leave";
 }
