@@ -1,6 +1,6 @@
 // The pieces that answers of the analysis are made of, and what of them is highlighted on the net.
 
-import { h, menu, number, plural, question, table } from "./dom.js";
+import { h, menu, number, plural, question, table, rounded } from "./dom.js";
 import { mark, nodeLink } from "./net_marks.js";
 import { barPlot, CURVES } from "./plot.js";
 import { FiringSequence, sequenceControls } from "./sequence.js";
@@ -34,7 +34,7 @@ export class AnswerPieces {
     const found = result.intervals?.[key];
     const ends = Array.isArray(found) ? found : found?.[name];
     if (!ends) return "";
-    const [low, high] = ends.map((end) => number(Number(end.toPrecision(digits))));
+    const [low, high] = ends.map((end) => rounded(end, digits));
     return ` (${low}${to}${high})`;
   }
 
@@ -150,7 +150,7 @@ export class AnswerPieces {
       {
         kind: "heat",
         level: most ? value / most : 0,
-        text: number(Number(value.toPrecision(3))),
+        text: rounded(value, 3),
       },
     ]);
     const ends = [0, most].map((value) => h("span", number(value)));

@@ -1,6 +1,6 @@
 // Deploying: the changes that another plan makes in a running team, the confirmation, the votes and the outcome.
 
-import { h, ask, cancelOr, labelled, menu, plural } from "./dom.js";
+import { h, ask, cancelOr, labelled, menu, plural, pause } from "./dom.js";
 import { get, post } from "./api.js";
 import { changeList } from "./edit/diff_view.js";
 
@@ -92,7 +92,7 @@ async function follow(id, plan) {
     } catch (error) {
       found = { state: "refused", says: error.message };
     }
-    if (found.state === "looking") await new Promise((resolve) => setTimeout(resolve, POLL));
+    if (found.state === "looking") await pause(POLL);
   }
   const done = found.state === "done";
   state.className = done ? "" : "wrong";

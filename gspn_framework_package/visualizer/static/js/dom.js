@@ -258,3 +258,9 @@ export function number(value) {
     ? value.toExponential(3)
     : String(Number(value.toPrecision(5)));
 }
+
+/** A number with so many digits at most. */
+export const rounded = (value, digits) => number(Number(value.toPrecision(digits)));
+
+/** Resolves after so many ms. */
+export const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));

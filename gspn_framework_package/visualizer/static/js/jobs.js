@@ -1,6 +1,6 @@
 // Starts an analysis in the background on the server; shows its progress, a cancel button and its end.
 
-import { h, attempt, seconds } from "./dom.js";
+import { h, attempt, seconds, pause } from "./dom.js";
 import { get, post } from "./api.js";
 
 const POLL = 250;
@@ -9,9 +9,7 @@ const POLL = 250;
  * its last report. */
 export async function followJob(key, seen) {
   for (;;) {
-    await new Promise((resolve) => {
-      setTimeout(resolve, POLL);
-    });
+    await pause(POLL);
     const report = await get(`analysis/${key}`).catch((error) => ({
       state: "failed",
       error: error.message,

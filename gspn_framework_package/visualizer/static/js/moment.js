@@ -1,6 +1,6 @@
 // The address of a moment of a run: it shows that moment to whoever opens it.
 
-import { attempt, toast } from "./dom.js";
+import { attempt, toast, pause } from "./dom.js";
 
 /** Show the moment named in the address: `slot=12` is the state after slot 12 of the log, `t=83.5` that after 83.5 s
  * of the run. */
@@ -12,9 +12,7 @@ export async function goToMoment(page, word) {
       found[1] ? model.showSlot(Number(found[1])) : model.showTime(Number(found[2])),
     );
     if (shown !== false) return;
-    await new Promise((resolve) => {
-      setTimeout(resolve, 300); // the log is still being read
-    });
+    await pause(300); // the log is still being read
   }
 }
 

@@ -1,6 +1,6 @@
 // Small plots: curves over time, bars.
 
-import { announce, h, s, number } from "./dom.js";
+import { announce, h, s, number, rounded } from "./dom.js";
 import { download, pictureOf } from "./edit/picture.js";
 
 export const CURVES = [
@@ -137,7 +137,7 @@ export class Chart {
     const said =
       x === null ? [] : this.curves.map(({ name, points }) => [name, valueAt(points, x)]);
     const known = said.filter(([, value]) => value !== null);
-    const told = known.map(([name, value]) => `${name}: ${number(Number(value.toPrecision(4)))}`);
+    const told = known.map(([name, value]) => `${name}: ${rounded(value, 4)}`);
     this.values.textContent = x === null ? "" : [`${this.xName} ${short(x)}`, ...told].join(" · ");
     if (x === null) return;
     const [from, to] = this.range;
@@ -201,7 +201,7 @@ export class Chart {
   }
 }
 
-const short = (x) => number(Number(x.toPrecision(3)));
+const short = (x) => rounded(x, 3);
 
 /** A chart of curves that is drawn once; as in `Chart.show`. */
 export const curvePlot = (curves, xName) => new Chart().show(curves, xName);

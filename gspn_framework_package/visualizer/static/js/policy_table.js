@@ -1,6 +1,6 @@
 // The rows of a computed policy, one page at a time; those that differ from the present policy come first.
 
-import { h, attempt, number, table } from "./dom.js";
+import { h, attempt, table, rounded } from "./dom.js";
 import { get } from "./api.js";
 
 const ROWS = 50;
@@ -14,7 +14,7 @@ export function choiceText(choices) {
     .join(", ");
 }
 
-export const percent = (probability) => `${number(Number((100 * probability).toPrecision(4)))} %`;
+export const percent = (probability) => `${rounded(100 * probability, 4)} %`;
 
 /** The marking of a row as {place: count}, without the places that may hold any number. */
 function markingOf(places, cells) {

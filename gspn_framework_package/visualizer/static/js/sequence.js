@@ -1,6 +1,6 @@
 // Plays a firing sequence step by step on a stage: the simulation, or the editor's canvas.
 
-import { h } from "./dom.js";
+import { h, pause } from "./dom.js";
 
 const PAUSE = 700; // ms between two steps while it plays
 
@@ -43,8 +43,7 @@ export class FiringSequence extends EventTarget {
     if (this.playing) return;
     this.playing = true;
     if (this.ended) this.at = null;
-    while (this.playing && (await this.next()) && !this.ended)
-      await new Promise((resolve) => setTimeout(resolve, PAUSE));
+    while (this.playing && (await this.next()) && !this.ended) await pause(PAUSE);
     this.stop();
   }
 

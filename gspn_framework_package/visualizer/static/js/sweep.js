@@ -1,14 +1,13 @@
 // The answer to a sweep: its points as a table, and plots of each measure over the varied parameter.
 
-import { h, number, table } from "./dom.js";
+import { h, table, rounded } from "./dom.js";
 import { curvePlot, CURVES } from "./plot.js";
 
 const PLOTS = 8;
 const CURVES_SHOWN = 8;
 
 const estimate = ({ mean, half_width: half }) => {
-  const digits = (value, count) => number(Number(value.toPrecision(count)));
-  return half ? `${digits(mean, 4)} ± ${digits(half, 2)}` : digits(mean, 4);
+  return half ? `${rounded(mean, 4)} ± ${rounded(half, 2)}` : rounded(mean, 4);
 };
 
 const titleOf = ({ measure, name }) => name || measure.replace(/_/g, " ");

@@ -1,6 +1,6 @@
 // Answers about time: the steady state, the way there, how long something takes, and simulated runs.
 
-import { facts, h, number, plural } from "./dom.js";
+import { facts, h, number, plural, rounded } from "./dom.js";
 import { curvePlot, CURVES } from "./plot.js";
 
 export function steadyState(show, result) {
@@ -69,7 +69,7 @@ export function steadyState(show, result) {
         ["Marking", "probability", "mean stay (s)"],
         states.map((state) => [
           show.markingText(state.marking),
-          number(Number(state.probability.toPrecision(4))),
+          rounded(state.probability, 4),
           stay(state),
         ]),
         "table.states",
@@ -81,15 +81,14 @@ export function steadyState(show, result) {
 
 export function simulated(show, found) {
   if (!found) return null;
-  const digits = (value, count) => number(Number(value.toPrecision(count)));
   const estimate = (value) => {
     if (value === null) return "–";
     if (value.seen === false) {
-      return `not seen${value.half_width === null ? "" : `, below ${digits(value.half_width, 2)}`}`;
+      return `not seen${value.half_width === null ? "" : `, below ${rounded(value.half_width, 2)}`}`;
     }
-    const mean = value.mean === null ? number(null) : digits(value.mean, 4);
+    const mean = value.mean === null ? number(null) : rounded(value.mean, 4);
     if (value.half_width === 0) return `${mean} in every run`;
-    return `${mean} ± ${value.half_width === null ? "?" : digits(value.half_width, 2)}`;
+    return `${mean} ± ${value.half_width === null ? "?" : rounded(value.half_width, 2)}`;
   };
   const means = (values) =>
     Object.fromEntries(Object.entries(values).map(([name, value]) => [name, value.mean]));
@@ -176,7 +175,7 @@ export function transient(show, result) {
     .filter(([key]) => /^transient\.\d+\.mean_tokens$/.test(key))
     .flatMap(([, table]) => Object.values(table))
     .map((ends) => (ends ? (ends[1] - ends[0]) / 2 : 0));
-  const most = number(Number(Math.max(...off).toPrecision(2)));
+  const most = rounded(Math.max(...off), 2);
   return [
     show.section(
       "Mean tokens over time",

@@ -2,7 +2,7 @@
 // firings. While one moves, a few short runs give a first look; when it rests, the exact mean follows where it can be
 // had, and a longer simulation. The page says which is shown.
 
-import { h, labelled, menu, number, options, question, refill } from "./dom.js";
+import { h, labelled, menu, number, options, question, refill, rounded } from "./dom.js";
 import { get, post } from "./api.js";
 import { followJob } from "./jobs.js";
 import { band, Chart, showBands } from "./plot.js";
@@ -14,7 +14,7 @@ const HORIZON = 600; // s shown where no run is observed
 const ALL = "all transitions";
 
 /** A factor as people read it. */
-const times = (factor) => `× ${number(Number(factor.toPrecision(2)))}`;
+const times = (factor) => `× ${rounded(factor, 2)}`;
 
 export class WhatIf {
   constructor(model) {
@@ -194,7 +194,7 @@ export class WhatIf {
     const [pace, half] = [throughput, halves].map((of) => (name === ALL ? all(of) : of[name]));
     const count = half ? `About ${number(pace * end)}` : `Exactly ${number(pace * end)}`;
     const off = half
-      ? ` give or take ${number(Number((half * end).toPrecision(2)))}, since durations are replaced,`
+      ? ` give or take ${rounded(half * end, 2)}, since durations are replaced,`
       : "";
     return ` ${count}${off} on average in the long run (Markov chain of ${number(states)} states).`;
   }

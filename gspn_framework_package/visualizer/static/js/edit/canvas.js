@@ -174,13 +174,15 @@ export class Canvas extends EventTarget {
     this.request();
   }
 
+  nodeNamed(name) {
+    return this.byKey.get(nodeKey("place", name)) || this.byKey.get(nodeKey("transition", name));
+  }
+
   /** The nodes of each group of a plan that may be unfinished: title -> nodes. */
   groupsOf(plan) {
-    const node = (name) =>
-      this.byKey.get(nodeKey("place", name)) || this.byKey.get(nodeKey("transition", name));
     return new Map(
       Object.entries(groupsIn(plan))
-        .map(([title, names]) => [title, names.map(node).filter(Boolean)])
+        .map(([title, names]) => [title, names.map((name) => this.nodeNamed(name)).filter(Boolean)])
         .filter(([, nodes]) => nodes.length),
     );
   }
@@ -393,10 +395,8 @@ export class Canvas extends EventTarget {
     const both = new Set(list.map((data) => arcKey(data)));
     const all = [];
     this.loose = false;
-    const node = (name) =>
-      this.byKey.get(nodeKey("place", name)) || this.byKey.get(nodeKey("transition", name));
     for (const data of list) {
-      const [from, to] = [node(data.from), node(data.to)];
+      const [from, to] = [data.from, data.to].map((name) => this.nodeNamed(name));
       if (!from || !to) {
         this.loose = true;
         continue;

@@ -182,7 +182,7 @@ export class Checks {
           });
       }
     }
-    this.mode.mark(marks);
+    this.mode.canvas.mark(marks);
   }
 
   section(level, findings) {
@@ -221,7 +221,7 @@ export class Checks {
     if (keys.length) {
       this.mode.choose(keys);
       const shown = keys.find((key) => this.mode.selection.has(key));
-      if (shown) this.mode.flyTo(shown);
+      if (shown) this.mode.canvas.flyTo(shown);
     } else if (rows.length) this.mode.showPanel("policy");
   }
 

@@ -1,6 +1,6 @@
 // Parts of a net as text, for copy and paste. Paste refuses any text that is not exactly of this form.
 
-import { freeName, groupsIn } from "./net_edits.js";
+import { freeName, groupsIn, namesOf } from "./net_edits.js";
 import { problemOf, typeOf } from "./schema.js";
 
 const MARK = "gspn-part";
@@ -15,7 +15,7 @@ export function copied(state, keys, positions) {
     .filter(({ name }) => keys.has(`transition:${name}`))
     .map(withPlace);
   if (!places.length && !transitions.length) return null;
-  const names = new Set([...places, ...transitions].map(({ name }) => name));
+  const names = namesOf({ places, transitions });
   const arcs = net.arcs.filter((arc) => names.has(arc.from) && names.has(arc.to));
   const actions = {};
   for (const { name } of places)
@@ -45,7 +45,7 @@ export function parsed(text, schema) {
     problemOf(schema.properties.groups, groups, schema);
   if (problem || typeOf(actions) !== "object") return null;
   const nodes = [...places, ...transitions];
-  const names = new Set(nodes.map(({ name }) => name));
+  const names = namesOf({ places, transitions });
   const isPlace = new Set(places.map(({ name }) => name));
   const grouped = Object.values(groups).flat();
   const fits =

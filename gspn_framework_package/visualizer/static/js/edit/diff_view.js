@@ -156,7 +156,7 @@ export class DiffView {
   go(change) {
     const key = this.keyOf(change);
     this.mode.choose([key]);
-    if (this.mode.selection.has(key)) this.mode.flyTo(key);
+    if (this.mode.selection.has(key)) this.mode.canvas.flyTo(key);
   }
 
   clear() {

@@ -206,7 +206,7 @@ export class ElementList extends RestingList {
     }
     const keys = mode.canvas.keysOf(key);
     mode.choose(more ? [...mode.selection, ...keys] : keys);
-    mode.flyTo(keys[0]);
+    mode.canvas.flyTo(keys[0]);
     this.goTo(key);
   }
 

@@ -1,6 +1,6 @@
 // The files of the document: saving, conflicts with changes by somebody else, drafts, export.
 
-import { $, h, ask, cancelOr, attempt, labelled, menu, textField, toast } from "../dom.js";
+import { $, h, ask, cancelOr, attempt, labelled, menu, textField, toast, pause } from "../dom.js";
 import { get, post, send } from "../api.js";
 import { deployToARun } from "../deploy.js";
 import { hasUnsaved } from "./editor.js";
@@ -151,8 +151,7 @@ export class Files {
 
   /** Resolves once no gesture or name is unfinished. */
   async rest() {
-    while (!this.closed && (this.mode.pointer.gesture || this.mode.renaming))
-      await new Promise((resolve) => setTimeout(resolve, REST));
+    while (!this.closed && (this.mode.pointer.gesture || this.mode.renaming)) await pause(REST);
   }
 
   /** Fetch the latest version and merge it. */

@@ -1,10 +1,11 @@
 // Merges what two people made of one plan, element by element: places, transitions and arcs by their names, rows of the
 // policy, and every field of the plan file. Pure functions on states of a PlanDocument, {plan, net, policy}.
 
-import { changed, freeName, freeTitle, groupsIn } from "./net_edits.js";
+import { changed, freeName, freeTitle, groupsIn, namesOf } from "./net_edits.js";
 import { renamed } from "./rename.js";
+import { typeOf } from "./schema.js";
 
-const isObject = (value) => typeof value === "object" && value !== null && !Array.isArray(value);
+const isObject = (value) => typeOf(value) === "object";
 
 /** Whether two JSON values are equal; undefined, which stands for an absent one, equals only itself. */
 export function same(a, b) {
@@ -189,7 +190,7 @@ const byNode = (plan, titles) => {
 /** The plan of a state with lists of nodes as groups again, as in `first`, and without nodes that are gone. */
 function withLists(state, first) {
   if (!state.plan) return state.plan;
-  const has = new Set([...state.net.places, ...state.net.transitions].map(({ name }) => name));
+  const has = namesOf(state.net);
   const of = Object.entries(state.plan.groups).filter(([name]) => has.has(name));
   const groups = {};
   for (const title of [...Object.keys(groupsIn(first)), ...of.map((it) => it[1])]) {
@@ -202,7 +203,7 @@ function withLists(state, first) {
 
 /** The state with the nodes that an arc or an action needs and that somebody removed; `merge` notes each. */
 function withNeeded(state, states, merge) {
-  const has = new Set([...state.net.places, ...state.net.transitions].map(({ name }) => name));
+  const has = namesOf(state.net);
   const wanted = [
     ...state.net.arcs.flatMap(({ from, to }) => [from, to]),
     ...Object.keys(state.plan?.actions ?? {}),

@@ -222,15 +222,6 @@ export class EditMode extends EventTarget {
     this.dispatchEvent(new CustomEvent("select", { detail: this.selection }));
   }
 
-  flyTo(key) {
-    this.canvas.flyTo(key);
-  }
-
-  /** Draw marks at nodes: key -> {level: "error" | "warning" | "note", text}. */
-  mark(marks) {
-    this.canvas.mark(marks);
-  }
-
   /** Play a firing sequence on the drawing; the arguments are those of Witness. */
   play(steps, markings) {
     this.witness?.end();
@@ -383,7 +374,7 @@ export class EditMode extends EventTarget {
     const node = this.canvas.byKey.get(key);
     if (node) {
       node.element.classList.add("aimed");
-      this.flyTo(key);
+      this.canvas.flyTo(key);
       const problem = problemOfArc(this.document.net, this.arcStart, key);
       const from = this.canvas.byKey.get(this.arcStart).name;
       this.say(problem || `An arc from ${from} to ${node.name}: press Enter to add it.`);
@@ -423,7 +414,7 @@ export class EditMode extends EventTarget {
     if (!best && this.selection.size) return;
     const { key } = best || from;
     this.choose(more ? [...[...this.selection].filter((it) => it !== key), key] : [key]);
-    this.flyTo(key);
+    this.canvas.flyTo(key);
     const { size } = this.selection;
     this.say(`${(best || from).name} chosen${size > 1 ? `, ${size} in all` : ""}`);
   }

@@ -24,9 +24,13 @@ export function findNode(net, key) {
   return null;
 }
 
+/** The names of all nodes. */
+export const namesOf = ({ places, transitions }) =>
+  new Set([...places, ...transitions].map(({ name }) => name));
+
 /** A name that no node has: the wanted one, or that with the next free number. */
 export function freeName(net, wanted, taken = new Set()) {
-  const names = new Set([...net.places, ...net.transitions].map((node) => node.name));
+  const names = namesOf(net);
   return nextFree(wanted, (name) => !names.has(name) && !taken.has(name));
 }
 

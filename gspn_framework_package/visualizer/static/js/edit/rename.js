@@ -2,7 +2,7 @@
 // of a PlanDocument, {plan, net, policy}.
 
 import { NAMES } from "./names.js";
-import { arcKey, changed } from "./net_edits.js";
+import { arcKey, changed, namesOf } from "./net_edits.js";
 import { scaled, sumOf } from "./schema.js";
 
 const NAME = /^[\p{L}_][\p{L}\p{N}_.:]*$/u; // a name that needs no quotes in a condition; as in model/expression.py
@@ -288,7 +288,7 @@ function changedPolicy(policy, place, transition, said) {
  * ("Charge.Approach"), so these change too. */
 export function renamed(state, kind, from, to) {
   const inside = kind === "place" && state.plan.actions?.[from]?.plan !== undefined;
-  const own = new Set([...state.net.places, ...state.net.transitions].map(({ name }) => name));
+  const own = namesOf(state.net);
   const part = (name) =>
     inside && name.startsWith(`${from}.`) && !own.has(name) ? to + name.slice(from.length) : name;
   const change = (wanted) => (name) => (kind === wanted && name === from ? to : part(name));
@@ -302,7 +302,7 @@ export function without(state, keys) {
   const inside = state.net.places
     .map(({ name }) => name)
     .filter((name) => gone.has(`place:${name}`) && state.plan.actions?.[name]?.plan !== undefined);
-  const own = new Set([...state.net.places, ...state.net.transitions].map(({ name }) => name));
+  const own = namesOf(state.net);
   const lost = (kind) => (name) =>
     gone.has(`${kind}:${name}`) ||
     (!own.has(name) && inside.some((place) => name.startsWith(`${place}.`)))
