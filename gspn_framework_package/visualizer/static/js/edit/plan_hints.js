@@ -5,7 +5,7 @@ import { h } from "../dom.js";
 import { actionField } from "./action_form.js";
 import { durationForm, learnedForm } from "./learned_form.js";
 import { NAMES } from "./names.js";
-import { changedCondition } from "./rename.js";
+import { changedCondition, isWord } from "./rename.js";
 import { robotsForm } from "./robots_form.js";
 import { failureRule, lostRule } from "./rule_form.js";
 import { problemOfSum } from "./schema.js";
@@ -14,13 +14,8 @@ const placeCondition = (text, state) => {
   const known = new Set(state.net.places.map(({ name }) => name));
   let foreign = null;
   changedCondition(text, (name) => {
-    if (
-      !known.has(name) &&
-      !/^(and|or|not|true|false|min|max|floor|ceil|round|abs|sqrt|exp|log|ln|pow|mod|e\d*)$/i.test(
-        name,
-      )
-    )
-      foreign ??= name;
+    // the exponent of a number looks like a name
+    if (!known.has(name) && !isWord(name) && !/^e\d*$/i.test(name)) foreign ??= name;
     return name;
   });
   if (foreign) return `there is no place '${foreign}'`;

@@ -11,6 +11,10 @@ const COUNT = /#\s*("[^"]*"|'[^']*'|[\p{L}_][\p{L}\p{N}_.:]*)/gu; // the tokens 
 const WORDS = new Set(
   "and or not true false min max floor ceil round abs sqrt exp log ln pow mod".split(" "),
 );
+/** Whether a text is a word of conditions, which is the name of a place only in quotes. */
+export const isWord = (text) => WORDS.has(text.toLowerCase());
+const unquoted = (token) => (/^["']/.test(token) ? token.slice(1, -1) : token);
+const inQuotes = (name) => (name.includes("'") ? `"${name}"` : `'${name}'`);
 
 const nodesOf = (net, kind) => (kind === "place" ? net.places : net.transitions);
 
@@ -31,17 +35,15 @@ export function problemOfName(state, name, except = null) {
 export function changedCondition(text, place) {
   let gone = false;
   const result = text.replace(TOKEN, (token) => {
-    const quoted = /^["']/.test(token);
-    const name = quoted ? token.slice(1, -1) : token;
-    if (!quoted && /^(and|or)$/i.test(name)) return token;
+    if (/^(and|or)$/i.test(token)) return token;
+    const name = unquoted(token);
     const now = place(name);
     if (now === name) return token;
     if (now === null) {
       gone = true;
       return token;
     }
-    if (NAME.test(now) && !WORDS.has(now.toLowerCase())) return now;
-    return now.includes("'") ? `"${now}"` : `'${now}'`;
+    return NAME.test(now) && !isWord(now) ? now : inQuotes(now);
   });
   return gone ? null : result;
 }
@@ -50,10 +52,9 @@ export function changedCondition(text, place) {
 function withPlaces(transition, place) {
   const written = (text) =>
     text.replace(COUNT, (whole, token) => {
-      const name = /^["']/.test(token) ? token.slice(1, -1) : token;
+      const name = unquoted(token);
       const now = place(name) ?? name;
-      if (now === name) return whole;
-      return NAME.test(now) ? `#${now}` : now.includes("'") ? `#"${now}"` : `#'${now}'`;
+      return now === name ? whole : `#${NAME.test(now) ? now : inQuotes(now)}`;
     });
   let now = transition;
   for (const key of ["rate", "weight"])
