@@ -5,8 +5,7 @@ import { h, natural, plural } from "../dom.js";
 import { get } from "../api.js";
 import { FormPanel, Lens, MIXED } from "./form.js";
 import { NAMES } from "./names.js";
-import { arcKey, nodeKey, otherKind } from "./net_edits.js";
-import { changed } from "./net_edits.js";
+import { arcKey, changeArcs, changeNodes, changed, nodeKey, otherKind } from "./net_edits.js";
 import { HINTS } from "./plan_hints.js";
 import { problemOfName, renamed } from "./rename.js";
 import { addRobot, robotRow, robotsLens, robotsOf } from "./robots_form.js";
@@ -157,16 +156,11 @@ export class PropertyPanel extends PlanForm {
         this.document.edit(
           label,
           ({ net }) => ({
-            net: {
-              ...net,
-              [LISTS[kind]]: net[LISTS[kind]].map((it) =>
-                wanted.has(keyOf[kind](it)) &&
-                it[key] !== value &&
-                (value !== absent || it[key] !== undefined)
-                  ? changed(it, { [key]: value === absent ? undefined : value })
-                  : it,
-              ),
-            },
+            net: (kind === "arc" ? changeArcs : changeNodes)(net, wanted, (it) =>
+              it[key] !== value && (value !== absent || it[key] !== undefined)
+                ? changed(it, { [key]: value === absent ? undefined : value })
+                : it,
+            ),
           }),
           merge,
         ),
@@ -390,17 +384,12 @@ export class PropertyPanel extends PlanForm {
     const kind = new Lens(
       `net.${list.length === 1 ? `transition:${list[0].name}` : "transitions"}.timed`,
       () => timed,
-      (value, label) => {
-        const names = new Set(list.map(({ name }) => name));
-        return this.document.edit(label, ({ net }) => ({
-          net: {
-            ...net,
-            transitions: net.transitions.map((it) =>
-              names.has(it.name) && Boolean(it.timed) !== value ? otherKind(it) : it,
-            ),
-          },
-        }));
-      },
+      (value, label) =>
+        this.document.edit(label, ({ net }) => ({
+          net: changeNodes(net, list.map(keyOf.transition), (it) =>
+            Boolean(it.timed) !== value ? otherKind(it) : it,
+          ),
+        })),
     );
     return [
       this.labelled(
