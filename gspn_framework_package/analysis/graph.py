@@ -56,18 +56,28 @@ def reachable_from(
 ) -> Booleans:
     """Boolean array: the nodes that can be reached from ``start`` (numbers, or a boolean array),
     including ``start``."""
-    seen = np.zeros(nodes + 1, dtype=bool)
-    seen[:nodes][start] = True
-    begins = np.flatnonzero(seen)
+    begins = np.zeros(nodes, dtype=bool)
+    begins[start] = True
+    return search_from(adjacency(nodes, sources, targets), np.flatnonzero(begins))[0]
+
+
+def search_from(matrix: Matrix, start: Indices) -> Tuple[Booleans, Indices]:
+    """A search from ``start`` (numbers) along the entries of a sparse matrix (CSR).
+
+    :return: boolean array: the nodes that it reaches, including ``start``; int array: the node
+        before each of them on a shortest path; the number of nodes for ``start``.
+    """
+    nodes = matrix.shape[0]
     # an additional node with an arc to each of them, since compiled code starts a search from a
     # single node
-    matrix = adjacency(
-        nodes + 1,
-        np.concatenate([sources, np.full(len(begins), nodes, dtype=np.int64)]),
-        np.concatenate([targets, begins]),
-    )
-    seen[csgraph.breadth_first_order(matrix, nodes, return_predecessors=False)] = True
-    return seen[:nodes]
+    indices = np.concatenate([matrix.indices, start])
+    offsets = np.concatenate([matrix.indptr, [len(indices)]])
+    ones = np.ones(len(indices), dtype=bool)
+    whole = sparse.csr_matrix((ones, indices, offsets), shape=(nodes + 1, nodes + 1))
+    order, before = csgraph.breadth_first_order(whole, nodes)
+    seen = np.zeros(nodes + 1, dtype=bool)
+    seen[order] = True
+    return seen[:nodes], before[:nodes]
 
 
 def can_reach(

@@ -11,7 +11,6 @@ from typing import NamedTuple, Optional, Tuple
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse import csgraph
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices, Matrix
 from gspn_framework_package.analysis.decisions.aims import Aim
@@ -19,6 +18,7 @@ from gspn_framework_package.analysis.decisions.automaton import CHANCE, Automato
 from gspn_framework_package.analysis.decisions.solving import layers
 from gspn_framework_package.analysis.decisions.solving.graphs import any_of_row, forward
 from gspn_framework_package.analysis.decisions.solving.optima import optimum
+from gspn_framework_package.analysis.graph import components_of
 from gspn_framework_package.analysis.solution.linear import solve_linear as solve_linear
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import RefusedError
@@ -235,15 +235,10 @@ def flows(
 def _leading(inflow: Matrix, ends: Booleans, exits: Floats) -> Booleans:
     """The states from which the run ends with certainty or is discounted: those in no closed
     class."""
-    count, of = csgraph.connected_components(inflow, connection="strong")
+    _, of, bottom = components_of(inflow.T.tocsr())
     out = np.asarray(inflow.sum(axis=0)).reshape(-1)
     leaking = exits - out > 1e-12 * np.maximum(exits, 1e-300)
-    bottom = np.ones(count, dtype=bool)
-    bottom[of[np.flatnonzero(leaking)]] = False
-    coo = inflow.tocoo()
-    across = of[coo.col] != of[coo.row]
-    bottom[of[coo.col[across]]] = False
-    bottom[of[np.flatnonzero(ends)]] = False
+    bottom[of[leaking | ends]] = False
     result: Booleans = ~bottom[of]
     return result
 
@@ -257,10 +252,7 @@ def _in_the_long_run(
     watch: Watch,
 ) -> Floats:
     """Share of time in the tangible states, visits per second of the vanishing ones."""
-    count, of = csgraph.connected_components(inflow, connection="strong")
-    coo = inflow.tocoo()
-    bottom = np.ones(count, dtype=bool)
-    bottom[of[coo.col[of[coo.col] != of[coo.row]]]] = False
+    _, of, bottom = components_of(inflow.T.tocsr())
     bottom[of[~reached]] = False
     transient = np.flatnonzero(reached & ~bottom[of])
     entering = starts.copy()

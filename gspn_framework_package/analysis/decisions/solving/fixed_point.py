@@ -14,11 +14,12 @@ from typing import Callable, NamedTuple, Optional, Tuple
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse import csgraph, linalg
+from scipy.sparse import linalg
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices
 from gspn_framework_package.analysis.decisions.solving.graphs import reaching, rows_toward
 from gspn_framework_package.analysis.decisions.solving.model import Model
+from gspn_framework_package.analysis.graph import components_of
 from gspn_framework_package.analysis.solution.anderson import Anderson
 from gspn_framework_package.analysis.solution.linear import solve_linear as solve_linear
 from gspn_framework_package.analysis.watch import Watch
@@ -295,10 +296,7 @@ class _Search:
         model = self._model
         matrix = model.matrix[chosen]
         matrix.sum_duplicates()
-        count, of = csgraph.connected_components(matrix, connection="strong")
-        sources = np.repeat(np.arange(len(model)), np.diff(matrix.indptr))
-        bottom = np.ones(count, dtype=bool)
-        bottom[of[sources[of[sources] != of[matrix.indices]]]] = False
+        _, of, bottom = components_of(matrix)
         classes = np.flatnonzero(bottom)
         best = classes[0]
         if len(classes) > 1:

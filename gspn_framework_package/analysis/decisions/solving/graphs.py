@@ -11,9 +11,9 @@ from typing import NamedTuple, Optional, Tuple
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse import csgraph
 
 from gspn_framework_package.analysis.arrays import Booleans, Indices, Matrix
+from gspn_framework_package.analysis.graph import components_of, search_from
 
 
 class Arrows(NamedTuple):
@@ -101,20 +101,8 @@ def reaching(
     :return: boolean array over the states, including ``goal``; int array: the state after each of
         them on a shortest path to ``goal`` (-1: none, or in ``goal``).
     """
-    size = arrows.states
-    matrix = arrows.matrix(rows)
-    # a further node, before every state of the goal
-    begin = np.flatnonzero(goal)
-    backward = matrix.T.tocsr()
-    indices = np.concatenate([backward.indices, begin])
-    offsets = np.concatenate([backward.indptr, [len(indices)]])
-    ones = np.ones(len(indices), dtype=bool)
-    whole = sparse.csr_matrix((ones, indices, offsets), shape=(size + 1, size + 1))
-    found, before = csgraph.breadth_first_order(whole, size, return_predecessors=True)
-    reached = np.zeros(size + 1, dtype=bool)
-    reached[found] = True
-    after = np.where(reached[:size] & ~goal, before[:size], -1)
-    return reached[:size], after
+    reached, after = search_from(arrows.matrix(rows).T.tocsr(), np.flatnonzero(goal))
+    return reached, np.where(reached & ~goal, after, -1)
 
 
 def rows_toward(arrows: Arrows, after: Indices, rows: Optional[Booleans] = None) -> Indices:
@@ -133,15 +121,7 @@ def rows_toward(arrows: Arrows, after: Indices, rows: Optional[Booleans] = None)
 def forward(arrows: Arrows, start: Indices, rows: Optional[Booleans] = None) -> Booleans:
     """Boolean array: the states that ``rows`` may lead to from ``start`` (numbers), including
     ``start``."""
-    size = arrows.states
-    matrix = arrows.matrix(rows)
-    indices = np.concatenate([matrix.indices, start])
-    offsets = np.concatenate([matrix.indptr, [len(indices)]])
-    ones = np.ones(len(indices), dtype=bool)
-    whole = sparse.csr_matrix((ones, indices, offsets), shape=(size + 1, size + 1))
-    reached = np.zeros(size + 1, dtype=bool)
-    reached[csgraph.breadth_first_order(whole, size, return_predecessors=False)] = True
-    return reached[:size]
+    return search_from(arrows.matrix(rows), start)[0]
 
 
 class EndComponents(NamedTuple):
@@ -166,7 +146,7 @@ def end_components(arrows: Arrows, states: Booleans, rows: Booleans) -> EndCompo
     owners, arc_rows = arrows.row_states, arrows.arc_rows
     sources = owners[arc_rows]
     while True:
-        _, of = csgraph.connected_components(arrows.matrix(rows), connection="strong")
+        of = components_of(arrows.matrix(rows)).of
         leaving = rows & any_of_row(arrows, of[sources] != of[arrows.targets])
         if not leaving.any():
             break

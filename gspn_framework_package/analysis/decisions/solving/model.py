@@ -18,12 +18,11 @@ from typing import Any, List, NamedTuple, Optional, Tuple
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse import csgraph
 
 from gspn_framework_package.analysis.arrays import Booleans, Floats, Indices, Matrix
 from gspn_framework_package.analysis.compiling import numba_is_there
 from gspn_framework_package.analysis.decisions.solving.graphs import Arrows
-from gspn_framework_package.analysis.graph import longest_levels
+from gspn_framework_package.analysis.graph import components, longest_levels
 from gspn_framework_package.model.errors import LimitError
 
 _WORTH_LOADING = 10_000
@@ -128,10 +127,7 @@ class Model:
             order = states[np.argsort(level[states], kind="stable")]
             begins = np.searchsorted(level[order], np.arange(int(level[order[-1]]) + 2))
             return order, begins, np.zeros(len(begins) - 1, dtype=bool)
-        graph = sparse.csr_matrix(
-            (np.ones(len(sources), dtype=np.int8), (sources, targets)), shape=(len(self),) * 2
-        )
-        count, of = csgraph.connected_components(graph, connection="strong")
+        count, of, _ = components(len(self), sources, targets)
         across = of[sources] != of[targets]
         level, _ = longest_levels(count, of[sources[across]], of[targets[across]])
         looping = np.zeros(count, dtype=bool)
