@@ -17,7 +17,7 @@ from __future__ import annotations
 import enum
 import itertools
 from functools import cached_property, lru_cache
-from typing import Dict, List, Optional
+from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 
@@ -96,23 +96,27 @@ class Properties:
     @cached_property
     def liveness(self) -> Dict[str, Liveness]:
         """The liveness level of every transition."""
-        space, found = self.space, self.components
-        count = len(space.net.transitions) + space.further_steps
-        level = np.zeros(count, dtype=np.int64)
-        level[np.unique(space.transitions)] = Liveness.L1
-        sources = space.sources
-        inside = found.of[sources] == found.of[space.targets]
-        level[np.unique(space.transitions[inside])] = Liveness.L3
-        bottom = np.flatnonzero(found.bottom)
-        number = np.full(found.number, -1, dtype=np.int64)
-        number[bottom] = np.arange(len(bottom))
-        last = number[found.of[sources]]
-        pairs = np.unique(
-            space.transitions[last >= 0].astype(np.int64) * len(bottom) + last[last >= 0]
-        )
-        everywhere = np.bincount(pairs // max(len(bottom), 1), minlength=count) == len(bottom)
-        level[everywhere] = Liveness.L4
+        space = self.space
+        level, _, _ = self._levels(np.arange(len(space.net.transitions) + space.further_steps))
         return {t.name: Liveness(int(v)) for t, v in zip(space.net.transitions, level)}
+
+    def _levels(self, of: Indices) -> Tuple[Indices, Indices, Indices]:
+        """The level of each kind of transitions (``of``: the kind of each); and in pairs, the kinds
+        and the final components in which they fire."""
+        space, found = self.space, self.components
+        kinds = int(of.max(initial=-1)) + 1
+        level = np.zeros(kinds, dtype=np.int64)
+        level[of[np.unique(space.transitions)]] = Liveness.L1
+        sources = found.of[space.sources]
+        inside = sources == found.of[space.targets]
+        level[of[np.unique(space.transitions[inside])]] = Liveness.L3
+        final = found.bottom[sources]
+        pairs = np.unique(
+            of[space.transitions[final]].astype(np.int64) * found.number + sources[final]
+        )
+        kind, component = pairs // found.number, pairs % found.number
+        level[np.bincount(kind, minlength=kinds) == found.bottom.sum()] = Liveness.L4
+        return level, kind, component
 
     @property
     def live(self) -> bool:

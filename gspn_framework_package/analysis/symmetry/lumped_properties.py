@@ -72,25 +72,13 @@ class LumpedProperties(Properties):
 
         :raises LimitError: not decided; see the class.
         """
-        space, found = self.space, self.components
-        of = space.symmetry.transition_orbits
+        of = self.space.symmetry.transition_orbits
         size = np.bincount(of)
-        level = np.zeros(len(size), dtype=np.int64)
-        level[of[np.unique(space.transitions)]] = Liveness.L1
-        inside = found.of[space.sources] == found.of[space.targets]
-        level[of[np.unique(space.transitions[inside])]] = Liveness.L3
-        bottom = np.flatnonzero(found.bottom)
-        number = np.full(found.number, -1, dtype=np.int64)
-        number[bottom] = np.arange(len(bottom))
-        last = number[found.of[space.sources]]
-        pairs = np.unique(of[space.transitions[last >= 0]] * len(bottom) + last[last >= 0])
-        orbit, component = pairs // max(len(bottom), 1), pairs % max(len(bottom), 1)
-        everywhere = np.bincount(orbit, minlength=len(size)) == len(bottom)
-        sure = np.bincount(orbit, self.alone[bottom][component], minlength=len(size)) == len(bottom)
-        if (everywhere & ~sure & (size > 1)).any():
+        level, orbit, component = self._levels(of)
+        sure = np.bincount(orbit, self.alone[component], minlength=len(size))
+        if ((level == Liveness.L4) & (sure < self.components.bottom.sum()) & (size > 1)).any():
             raise _several()
-        level[everywhere] = Liveness.L4
-        names = [t.name for t in space.net.transitions]
+        names = [t.name for t in self.space.net.transitions]
         return {name: Liveness(v) for name, v in zip(names, level[of].tolist())}
 
 
