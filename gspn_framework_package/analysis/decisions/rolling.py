@@ -3,13 +3,13 @@ under another policy and under the present one, with the same random numbers."""
 
 from __future__ import annotations
 
-import math
 from typing import Any, Dict, List, NamedTuple, Sequence
 
 import numpy as np
 
 from gspn_framework_package.analysis.decisions.aims import Aim, Objective
 from gspn_framework_package.analysis.simulation.aimed_run import AimedRun
+from gspn_framework_package.analysis.simulation.pairs import discounted_reward
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.policy import Policy
@@ -77,13 +77,7 @@ class Roller:
         _resume(run, state, words.generate_state(4, np.uint32).tolist())
         aim, now = objective.aim, run.now
         if aim is Aim.DISCOUNTED:
-            shift = np.random.default_rng([seed % 2**63, number]).random()
-            whole = 0.0
-            for k in range(_STRATA):
-                stop = now - math.log1p(-(k + shift) / _STRATA) / (objective.discount or 1.0)
-                run.go(stop)
-                whole += run.earned(stop)
-            return whole / _STRATA
+            return discounted_reward(run, objective.discount or 1.0, seed, number, _STRATA)
         horizon = self._rolled.horizon
         stop = now + (horizon if aim is Aim.LONG_RUN else 10.0 * horizon)
         run.go(stop)

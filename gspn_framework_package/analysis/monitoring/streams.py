@@ -95,6 +95,20 @@ class SidedSum:
         self.since = 0.0
         self.totals: Tuple[float, ...] = (0.0, 0.0)
 
+    def rise(self, step: float, now: float) -> bool:
+        """Add a positive step; returns whether that turns the sum on."""
+        if self.value == 0.0:
+            self.since = now
+        self.value = min(self.value + step, self.threshold)
+        turned = not self.on and self.value >= self.threshold
+        self.on = self.on or turned
+        return turned
+
+    def fall(self, step: float) -> None:
+        """Subtract a positive step."""
+        self.value = max(self.value - step, 0.0)
+        self.on = self.on and self.value > self.threshold / 2
+
 
 class Stream:
     """A watched quantity and its sums.
@@ -155,37 +169,21 @@ class PaceStream(Stream):
         the alarm."""
         raised = []
         for s, slope, _ in self._slow:
-            if s.value == 0.0:
-                s.since = now
-            s.value += slope * slow
-            if s.value >= s.threshold:
-                s.value = s.threshold
-                if not s.on:
-                    if not any(other.on for other, _, _ in self._slow):
-                        raised.append((s, "slower"))
-                    s.on = True
+            if s.rise(slope * slow, now) and sum(other.on for other, _, _ in self._slow) == 1:
+                raised.append((s, "slower"))
         for s, slope, _ in self._fast:
             if s.value > 0.0:
-                s.value = max(s.value - slope * fast, 0.0)
-                s.on = s.on and s.value > s.threshold / 2
+                s.fall(slope * fast)
         return raised
 
     def count(self, now: float) -> List[Tuple[SidedSum, str]]:
         """Count the end of an action; returns the sums that raise the alarm."""
         raised = []
         for s, _, step in self._slow:
-            s.value = max(s.value - step, 0.0)
-            s.on = s.on and s.value > s.threshold / 2
+            s.fall(step)
         for s, _, step in self._fast:
-            if s.value == 0.0:
-                s.since = now
-            s.value += step
-            if s.value >= s.threshold:
-                s.value = s.threshold
-                if not s.on:
-                    if not any(other.on for other, _, _ in self._fast):
-                        raised.append((s, "faster"))
-                    s.on = True
+            if s.rise(step, now) and sum(other.on for other, _, _ in self._fast) == 1:
+                raised.append((s, "faster"))
         return raised
 
 

@@ -16,7 +16,7 @@ from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.plan import Plan
 
 _STRATA = 16
-"""Number of end times of a discounted run; see :func:`_discounted`."""
+"""Number of end times of a discounted run; see :func:`discounted_reward`."""
 
 _PATIENCE = 10.0
 """A run is abandoned after this multiple of the time of the whole comparison."""
@@ -106,7 +106,7 @@ class PairPlayer:
         aim = contest.objective.aim
         if aim is Aim.DISCOUNTED:
             discount = contest.objective.discount or 0.0
-            return RunValue(_discounted(run, discount, contest.seed, number))
+            return RunValue(discounted_reward(run, discount, contest.seed, number, _STRATA))
         if aim is Aim.LONG_RUN:
             assert contest.time is not None
             length = contest.time - contest.warmup
@@ -150,17 +150,17 @@ def play_pairs(
     return found, player.firings - before
 
 
-def _discounted(run: AimedRun, discount: float, seed: int, number: int) -> float:
-    """The discounted reward of a run.
+def discounted_reward(run: AimedRun, discount: float, seed: int, number: int, strata: int) -> float:
+    """The discounted reward of a run from now on, up to what it has earned.
 
     It equals the mean undiscounted reward up to an exponential time of rate ``discount``. One such
-    time is drawn in each of :data:`_STRATA` equally probable parts, so nothing is truncated and the
-    mean is exact.
+    time is drawn in each of so many equally probable parts (``strata``), so nothing is truncated
+    and the mean is exact.
     """
-    shift = np.random.default_rng([seed % 2**63, number]).random()
+    shift, now = np.random.default_rng([seed % 2**63, number]).random(), run.now
     whole = 0.0
-    for k in range(_STRATA):
-        stop = -math.log1p(-(k + shift) / _STRATA) / discount
+    for k in range(strata):
+        stop = now - math.log1p(-(k + shift) / strata) / discount
         run.go(stop)
         whole += run.earned(stop)
-    return whole / _STRATA
+    return whole / strata
