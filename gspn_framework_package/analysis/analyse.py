@@ -321,22 +321,10 @@ class Analysis:
         return self._visit_within(net, limit, bounds)
 
     def _visit_within(self, net: Net, limit: int, bounds: Sequence[Optional[int]]) -> StateSpace:
+        within = {"limit": limit, "memory": self.limits.memory, **self.while_working}
         if self._lump is not None:
-            return explore_lumped(
-                self._symmetry(net),
-                limit=limit,
-                bounds=bounds,
-                memory=self.limits.memory,
-                **self.while_working,
-            )
-        return explore(
-            net,
-            limit=limit,
-            engine=self._engine,
-            bounds=bounds,
-            memory=self.limits.memory,
-            **self.while_working,
-        )
+            return explore_lumped(self._symmetry(net), bounds=bounds, **within)
+        return explore(net, engine=self._engine, bounds=bounds, **within)
 
     def _symmetry(self, net: Net) -> Symmetry:
         """The exchangeable parts of the net, or of the net without some counters. Parts that put

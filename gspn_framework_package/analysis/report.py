@@ -309,13 +309,9 @@ class ReportWork:
     def _by_tree(self) -> None:
         """Answer the questions on an unbounded net that the coverability tree decides."""
         if self.analysis.boundedness.bounded is False and self.analysis.plan is None:
-
-            def dead_transitions() -> List[str]:
-                return self.analysis.tree.dead_transitions
-
             if self.data["dead_transitions"] is None:
                 self.undecided.pop("dead_transitions", None)
-                self.answer("dead_transitions", dead_transitions)
+                self.answer("dead_transitions", lambda: self.analysis.tree.dead_transitions)
             dead = self.data["dead_transitions"]
             if dead and self.data["live"] is None:
                 self.data["live"] = False

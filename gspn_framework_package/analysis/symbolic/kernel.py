@@ -19,7 +19,7 @@ The functions run as they are, on lists, or compiled by numba, on arrays: see
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Tuple
+from typing import Any, NamedTuple
 
 Numbers = Any
 """A list or an array of integers."""
@@ -194,17 +194,25 @@ def fired(store: NodeStore, step: int, node: int) -> int:
     return recall(store.fired, store.fired_to, step, node)
 
 
-def push_union(st: Numbers, stack: Numbers, store: NodeStore, level: int, a: int, b: int) -> None:
-    """Begin the union of two nodes."""
+def push_frame(
+    st: Numbers, stack: Numbers, mode: int, level: int, first: int, second: int, at: int
+) -> int:
+    """Put a frame on the stack; returns where it begins."""
     f = st[DEPTH] * FRAME
-    stack[f + MODE] = UNION
+    stack[f + MODE] = mode
     stack[f + FRAME_LEVEL] = level
-    stack[f + FIRST] = min(a, b)
-    stack[f + SECOND] = max(a, b)
-    stack[f + AT] = min(store.low[a], store.low[b])
+    stack[f + FIRST] = first
+    stack[f + SECOND] = second
+    stack[f + AT] = at
     stack[f + WAITS] = 0
     stack[f + BASE] = st[HEIGHT]
     st[DEPTH] += 1
+    return f
+
+
+def push_union(st: Numbers, stack: Numbers, store: NodeStore, level: int, a: int, b: int) -> None:
+    """Begin the union of two nodes."""
+    push_frame(st, stack, UNION, level, min(a, b), max(a, b), min(store.low[a], store.low[b]))
 
 
 def push_fire(
@@ -217,30 +225,19 @@ def push_fire(
     node: int,
 ) -> None:
     """Begin a step from a node."""
-    f = st[DEPTH] * FRAME
-    stack[f + MODE] = FIRE
-    stack[f + FRAME_LEVEL] = level
-    stack[f + FIRST] = step
-    stack[f + SECOND] = node
-    stack[f + AT] = store.low[node]
+    f = push_frame(st, stack, FIRE, level, step, node, store.low[node])
     stack[f + FRAME_ROW] = steps.rows[step]
-    stack[f + WAITS] = 0
-    stack[f + BASE] = st[HEIGHT]
-    st[DEPTH] += 1
 
 
-def push_saturate(st: Numbers, stack: Numbers, level: int, base: int, low: int) -> None:
-    """Begin to close the set that is on the second stack from ``base`` on."""
-    f = st[DEPTH] * FRAME
-    stack[f + MODE] = SATURATE
-    stack[f + FRAME_LEVEL] = level
-    stack[f + FIRST] = -1
-    stack[f + AT] = 0
+def push_saturate(
+    st: Numbers, stack: Numbers, level: int, base: int, low: int, step: int, node: int
+) -> None:
+    """Begin to close the set that is on the second stack from ``base`` on: the result of a step
+    from a node, which is stored; -1: of none."""
+    f = push_frame(st, stack, SATURATE, level, step, node, 0)
     stack[f + FRAME_ROW] = -1
-    stack[f + WAITS] = 0
     stack[f + BASE] = base
     stack[f + LOW] = low
-    st[DEPTH] += 1
 
 
 def pop(st: Numbers, base: int, result: int) -> None:
@@ -340,9 +337,7 @@ def go_on_with_fire(
             dirty[i] = 1 if vec[i] != NO_MARKING else 0
         st[HEIGHT] = height
         st[DEPTH] -= 1
-        push_saturate(st, stack, level, base, first)
-        stack[f + FIRST] = step
-        stack[f + SECOND] = node
+        push_saturate(st, stack, level, base, first, step, node)
         return DONE
     result = node_of(store, st, vec, base, height, first)
     remember(st, store.fired, store.fired_to, step, node, result)
@@ -490,25 +485,3 @@ def run(
         if outcome != DONE:
             return outcome
     return DONE
-
-
-KERNEL_PARTS: Tuple[str, ...] = (
-    "pair_hash",
-    "recall",
-    "remember",
-    "node_hash",
-    "enter_node",
-    "node_of",
-    "joined",
-    "fired",
-    "push_union",
-    "push_fire",
-    "push_saturate",
-    "pop",
-    "next_row",
-    "stretch",
-    "go_on_with_union",
-    "go_on_with_fire",
-    "go_on_with_saturate",
-)
-"""The functions that the loop calls, each after those that it calls itself."""

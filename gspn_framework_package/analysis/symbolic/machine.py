@@ -53,16 +53,15 @@ def compiled_form() -> KernelForm:
     from gspn_framework_package.analysis.compiling import compiled, compiled_part
 
     names: Dict[str, Any] = dict(vars(kernel))
-
-    def function(name: str) -> Any:
-        return FunctionType(getattr(kernel, name).__code__, names, name)
-
-    for name in kernel.KERNEL_PARTS:
-        names[name] = compiled_part(function(name), inserted=False)
-    run, enter_nodes = (
-        compiled(function(name), allocates=False) for name in ("run", "enter_nodes")
-    )
-    return KernelForm(run, enter_nodes, True)
+    for name, value in vars(kernel).items():
+        if isinstance(value, FunctionType) and value.__module__ == kernel.__name__:
+            function = FunctionType(value.__code__, names, name)
+            names[name] = (
+                compiled(function, allocates=False)
+                if name in ("run", "enter_nodes")
+                else compiled_part(function, inserted=False)
+            )
+    return KernelForm(names["run"], names["enter_nodes"], True)
 
 
 def best_form() -> KernelForm:
@@ -129,7 +128,7 @@ class Machine:
         of ``child`` below, under the transitions of the level."""
         self._vec[0], self._dirty[0] = child, 1
         self._st[HEIGHT] = 1
-        push_saturate(self._st, self._stack, level, 0, tokens)
+        push_saturate(self._st, self._stack, level, 0, tokens, -1, -1)
 
     def begin_step(self, level: int, step: int, node: int) -> None:
         """Begin to take a step from the set ``node`` of this level, neither of them trivial."""
