@@ -20,7 +20,7 @@ from benchmarks.command import run_command
 from gspn_framework_package.model.errors import UsageError
 
 PART = 200_000
-"""Transitions after which a search of a scope begins anew, so that its memory stays small."""
+"""Transitions after which a search of a scope starts again, so that its memory stays small."""
 
 
 class Totals:

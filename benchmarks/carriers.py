@@ -2,7 +2,7 @@
 
 ``python3 -m benchmarks.carriers`` (needs eclipse-zenoh)
 
-Every robot is a process of its own, and so is the router, all on this machine.
+Every robot is a separate process, and so is the router, all on this machine.
 
 - *Round trip*: 500 bytes to another robot and back, one after the other.
 - *Team*: ``plans/tokens`` as in :mod:`~benchmarks.latency`.

@@ -3,7 +3,7 @@
 First it measures how fast event logs become a history: a run in virtual time is recorded, and
 ingested. Then the compiled simulation plays a year of 100 patrolling robots. Its stays go straight
 into a store, because its logs would take more than 100 GB. At last each report is asked in a
-process of its own: its time and its largest memory are those of the whole command.
+separate process: its time and its largest memory are those of the whole command.
 """
 
 from __future__ import annotations
@@ -392,7 +392,7 @@ print(code, peak, time.process_time(), file=sys.stderr)
 
 
 def ask_all(store: Store, robot: str) -> List[Dict[str, Any]]:
-    """Ask each question in a process of its own: its wall and processor time (s), and its largest
+    """Ask each question in a separate process: its wall and processor time (s), and its largest
     memory (bytes)."""
     found = []
     for name, words in QUESTIONS:

@@ -62,7 +62,7 @@ def philosophers(n: int) -> Net:
 
 
 def machines(n: int) -> Net:
-    """``n`` equal machines, each with places of its own, that share two tools: each asks for one
+    """``n`` equal machines, each with its own places, that share two tools: each asks for one
     (1/s), takes it as soon as one is free, and works with it (2/s)."""
     net = NetBuilder("machines_%d" % n).place("tools", tokens=2)
     for i in range(1, n + 1):

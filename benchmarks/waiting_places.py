@@ -2,7 +2,7 @@
 
 Two robots fetch orders from both ends of a warehouse and bring them to the counter in the middle,
 where idle robots wait. In the morning most orders are for the north end, in the evening for the
-south end. Of that the plan knows nothing. ``gspn fit`` finds in recorded days when orders come, and
+south end. The plan does not model that. ``gspn fit`` finds in recorded days when orders come, and
 gives the plan a clock; ``gspn optimise`` may send idle robots to either end. All policies then go
 through other days in virtual time. One of them is the best for the same days with one rate for the
 whole day: what the ends alone are worth.

@@ -121,7 +121,7 @@ class CheckResult(Result):
 class StatesResult(Result):
     """The reachable markings. An attribute is None if it was not decided; ``undecided`` says why.
 
-    :ivar number: how many there are.
+    :ivar number: their number.
     :ivar bounded: whether they are finitely many.
     :ivar bounds: place -> most tokens; infinite if there is no bound.
     :ivar deadlocks: number of markings in which nothing can happen any more.

@@ -4,8 +4,8 @@ Run by :mod:`.main` (``--outages ROUNDS``), so many rounds in one team. That the
 restarted is told to the nodes by another id of their boot; a loss of power is SIGKILL to all at
 once, after which every log is cut somewhere behind what had been synced. In turn:
 
-- the team rests, and ends in order: it goes on where it was, with its tasks and data;
-- the team rests, its logs are synced, and the power fails: it goes on where it was, likewise;
+- the team rests, and ends in order: it continues where it stopped, with its tasks and data;
+- the team rests, its logs are synced, and the power fails: it continues where it stopped, likewise;
 - the power fails while it works: it goes on from what was synced;
 - the power fails, and one machine stays off: the others wait and say so, until the operator has
   them go on; then the last one comes back.
@@ -35,7 +35,7 @@ from gspn_framework_package.model.event import EventSource, Tasks
 from gspn_framework_package.model.plan import Plan, RobotSpec, Synchronisation
 
 MOVES = 3
-"""Moves of each robot that show that the team goes on."""
+"""Moves of each robot that show that the team continues."""
 
 NOTING = "benchmarks.load.noting"
 
@@ -156,7 +156,7 @@ class Outages:
             ),
             "all robots to say that they miss %s" % off,
         )
-        team.wait(lambda: not team.order("trust", "", here[0]), "the team to go on without one")
+        team.wait(lambda: not team.order("trust", "", here[0]), "the team to continue without one")
         team.wait_for_moves(here, MOVES)
         del kept[off]  # given up
         self._goes_on(kept, here)
@@ -211,7 +211,7 @@ class Outages:
         team.wait_for_moves(team.robots, MOVES)
 
     def _goes_on(self, kept: Mapping[str, Position], robots: Sequence[str] = ()) -> None:
-        """Check that robots go on, and from every slot that was synced."""
+        """Check that robots continue, and from every slot that was synced."""
         robots = robots or self.team.robots
         self.team.wait_for_moves(robots, MOVES)
         check_kept([read_log(self.team.log_file(name)) for name in robots], kept)

@@ -58,7 +58,7 @@ class Verb(NamedTuple):
 
 
 def run_verb(*words: str) -> Verb:
-    """Run ``gspn WORDS`` as a process of its own, to its end."""
+    """Run ``gspn WORDS`` as a separate process, to its end."""
     begin = time.monotonic()
     with tempfile.TemporaryFile("w+", encoding="utf-8") as out:
         command = [sys.executable, "-m", "gspn_framework_package", *words]

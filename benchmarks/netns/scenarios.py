@@ -248,7 +248,7 @@ def loss(mode: str, window: float = WINDOW, transport: str = "zenoh") -> Numbers
 
 def flapping(mode: str, window: float = WINDOW, transport: str = "zenoh") -> Numbers:
     """Every half second the links change: at any time every other robot is cut off from all. The
-    team goes on in between, and evicts nobody."""
+    team continues in between, and evicts nobody."""
     with partition_experiment(mode, transport=transport) as lab:
         lab.warm_up()
         lab.begin_fault()

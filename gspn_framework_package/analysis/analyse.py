@@ -440,7 +440,7 @@ class Analysis:
         return Boundedness(not any(grows), ordered)
 
     def _counts_up(self, place: str) -> Optional[int]:
-        """The most tokens that an omitted counter can hold; None if it grows without bound."""
+        """Maximum number of tokens in an omitted counter; None if it grows without bound."""
         feeding = {
             self.net.transitions[t].name for t in self.net.producers[self.net.place_number(place)]
         }
@@ -450,7 +450,7 @@ class Analysis:
         return self.net.place(place).tokens + self._most_gained(place)
 
     def _most_gained(self, place: str) -> int:
-        """The most tokens that a firing sequence can put into a counter that no cycle feeds."""
+        """Maximum number of tokens that a firing sequence can add to a counter without a cycle."""
         gain = np.zeros(len(self.net.transitions) + self.space.further_steps, dtype=np.int64)
         p = self.net.place_number(place)
         for t in range(len(self.net.transitions)):

@@ -37,8 +37,8 @@ _HALF_WIDTH = 1 + math.sqrt(2)
 """Half width of an interval, in differences of the two answers."""
 
 _FEWEST_DRAWS, _MOST_DRAWS, _DRAWN_STATES = 8, 40, 120_000
-"""Values that were learned are drawn so often at least and at most, and so that about so many
-states are visited in all."""
+"""Least and most draws of learned values, and about how many states all draws may visit
+together."""
 
 AnswerTables = Dict[str, Dict[str, float]]
 """What answers are of -> name -> number. The name of an answer that is a number by itself is

@@ -53,7 +53,7 @@ class KeptCode:
         self._loaded: Dict[Tuple[Any, ...], _Found] = {}
 
     def __call__(self, *arguments: Any) -> Any:
-        """What the function returns. The first call in a process loads the code, or compiles it."""
+        """Call the function. The first call in a process loads the code, or compiles it."""
         kinds = tuple(map(_kind, arguments))
         if kinds not in self._loaded:
             with _LOCK:
@@ -125,7 +125,7 @@ def _digest(*parts: Any) -> str:
 
 
 def _kind(argument: Any) -> Any:
-    """What decides about the machine code."""
+    """Everything on which the machine code depends."""
     if isinstance(argument, np.ndarray):
         flags = argument.flags
         layout = "C" if flags.c_contiguous else "F" if flags.f_contiguous else "A"
@@ -154,7 +154,7 @@ def _flat(arguments: Tuple[Any, ...]) -> Iterator[Any]:
 
 
 def _machine() -> Any:
-    with contextlib.suppress(RuntimeError):  # a newer llvmlite does so by itself
+    with contextlib.suppress(RuntimeError):  # a newer llvmlite does this automatically
         binding.initialize()
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()

@@ -387,17 +387,17 @@ class ReportWork:
                 data["unsure"] = unsure
             data["residual"] = steady.residual
             data["method"] = steady.method
-            told = steady.likeliest(COMPONENTS)
+            reported = steady.likeliest(COMPONENTS)
             data["components"] = [
-                self._component(component, len(steady.components) > 1) for component in told
+                self._component(component, len(steady.components) > 1) for component in reported
             ]
             data["component_count"] = self._number_of(steady.components)
             space = self.analysis.space
             dead = [c.states for c in steady.components if self._is_deadlock(c)]
             data["deadlock_count"] = sum(space.count(chain.states[states]) for states in dead)
             data["probability_of_other_components"] = max(
-                1.0 - sum(c.probability for c in told), 0.0
-            ) * (len(steady.components) > len(told))
+                1.0 - sum(c.probability for c in reported), 0.0
+            ) * (len(steady.components) > len(reported))
             self.undecided.update(uncounted(self.analysis.left_out))
             if rewards:
                 data["reward"] = self._reward(measures, rewards)

@@ -46,7 +46,7 @@ def refuse_aims(args: argparse.Namespace) -> None:
     for option in (*_AIMS, "seconds"):
         if getattr(args, option):
             raise UsageError(
-                "--%s is for the comparison of two plans" % option.replace("_", "-"),
+                "--%s applies only to comparisons of two plans" % option.replace("_", "-"),
                 hint="give --against OTHER_PLAN as well",
             )
 
@@ -60,7 +60,7 @@ def run_against(subject: Union[Net, Plan], notes: List[str], args: argparse.Name
         if getattr(args, option):
             raise UsageError("--%s and --against exclude each other" % option.replace("_", "-"))
     if not isinstance(subject, Plan):
-        raise UsageError("--against compares plans; this is a net", file=args.net_file)
+        raise UsageError("--against compares plans, but this is a net", file=args.net_file)
     if args.timing != RUN:
         raise UsageError("--against compares plans as they run, without --timing %s" % args.timing)
     if args.until is not None:

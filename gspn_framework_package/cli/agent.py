@@ -25,7 +25,7 @@ from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.model.plan import Plan, Synchronisation
 
 LEAVING_TIME = 5.0
-"""Seconds that an agent has to end when asked to."""
+"""Seconds within which an agent must end after a request."""
 
 _OBJECTS = 10_000
 """Number of new objects after which Python looks for reference cycles, of which an agent makes few

@@ -61,7 +61,7 @@ def the_objective(
     :param reach: a condition that is to hold as probably as possible.
     :param discount: rate (1/s) at which later rewards count less.
     :param minimise: whether less is better.
-    :raises UsageError: there is no aim, there are several, or it is inconsistent.
+    :raises UsageError: no aim is given, there are several, or it is inconsistent.
     """
     conditions = [
         (option, goal)
@@ -73,9 +73,11 @@ def the_objective(
         if goal is not None
     ]
     if len(conditions) > 1:
-        raise UsageError("%s and %s are two aims" % (conditions[0][0], conditions[1][0]))
+        raise UsageError(
+            "%s and %s exclude each other: give one aim" % (conditions[0][0], conditions[1][0])
+        )
     if conditions and discount is not None:
-        raise UsageError("%s and --discount are two aims" % conditions[0][0])
+        raise UsageError("%s and --discount exclude each other" % conditions[0][0])
     option, goal = conditions[0] if conditions else ("", "")
     if rewards and option in ("--mean-time-to", "--reach"):
         raise UsageError("%s has no rewards" % option)
@@ -89,7 +91,7 @@ def the_objective(
         objective = Objective.reach(goal)
     elif not rewards:
         raise UsageError(
-            "there is no aim", hint="give --reward, --mean-time-to, --cost-to or --reach"
+            "no aim is given", hint="give --reward, --mean-time-to, --cost-to or --reach"
         )
     elif discount is not None:
         objective = Objective.discounted(rewards, discount)

@@ -89,8 +89,8 @@ _EFFORT: Arguments = {
     **PHASES_OPTION,
     choice("--engine", ENGINES, "auto"): "the engine that explores (default: auto)",
     "--symbolic": (
-        "count the markings of a net without visiting them: their number, largest counts, dead "
-        "markings, transitions that never fire"
+        "count the markings of a net without visiting them; also the largest counts, dead "
+        "markings, and transitions that never fire"
     ),
     "--lump": (
         "exploit symmetry: visit only one of the markings that differ by an exchange of equal "
@@ -232,7 +232,7 @@ def _check_symbolic(
         raise UsageError("--symbolic uses its own engine", hint="leave out --engine")
     if _asks_more(questions):
         raise UsageError(
-            "--symbolic counts markings, and answers no other questions",
+            "--symbolic only counts markings",
             hint="leave out --symbolic, or the questions",
         )
 
@@ -240,7 +240,7 @@ def _check_symbolic(
 def _check_queries(args: argparse.Namespace, questions: Questions) -> None:
     if _asks_more(questions):
         raise UsageError(
-            "--query answers queries, and no other questions",
+            "--query answers only queries",
             hint="leave out --query, or the questions",
         )
     for option in ("csv", "lump", "memory", "symbolic"):
@@ -261,7 +261,7 @@ def _print(data: Dict[str, Any], left_out: List[str], as_json: bool) -> None:
         return
     # the output has every key, even for parts that are left out
     data.update(dict.fromkeys(left_out))
-    data["undecided"].update(dict.fromkeys(left_out, "left out, as asked"))
+    data["undecided"].update(dict.fromkeys(left_out, "left out, as requested"))
     parts = _json(data, "\n")
     # writing each part separately would take longer
     for block in iter(lambda: "".join(islice(parts, _PARTS)), ""):

@@ -58,7 +58,7 @@ def analysis_text(data: Mapping[str, Any]) -> Iterator[str]:
                 chance = _number(within["probability"]) + _within(ends.get("within.%d" % n))
                 yield "    within %g s with probability %s" % (within["time"], chance)
     if spans:
-        yield "in brackets: what the answers may be, since %s" % " and ".join(
+        yield "in brackets: the intervals of the answers, since %s" % " and ".join(
             data["interval_sources"]
         )
     yield from _undecided_text(data)
@@ -145,7 +145,7 @@ def _behaviour_text(data: Mapping[str, Any]) -> Iterator[str]:
         yield from _timing_text(data["timing"])
     yield from scratch_text(data)
     if data["left_out"]:
-        yield "left out, because never read: %s" % ", ".join(data["left_out"])
+        yield "left out, because it is never read: %s" % ", ".join(data["left_out"])
     yield "bounded: %s; bounds: %s" % (_answer(data["bounded"]), _map(data["bounds"]))
     dead = data["deadlocks"]
     if dead and dead["witness"] is not None:
@@ -206,7 +206,7 @@ def _timing_text(timing: Mapping[str, Any]) -> Iterator[str]:
     if as_it_runs:
         splits = timing["splits"]
         yield "    doing and done are distinguished in%s" % (
-            ":" if splits else " no place: the net is the same chain"
+            ":" if splits else " no place: the net gives the same chain"
         )
         for place, why in list(splits.items())[:_SHOWN]:
             yield "        %s: %s" % (place, why)
@@ -230,7 +230,7 @@ def _steady_text(steady: Mapping[str, Any], spans: Mapping[str, Any]) -> Iterato
             size = format(part["states"], ",")
             kind = "a recurrent class of %s states, most of the time in" % size
             if part["states"] == 1:
-                kind = "the deadlock" if part["deadlock"] else "one state for good:"
+                kind = "the deadlock" if part["deadlock"] else "one absorbing state:"
             elif part["alike"] != 1:
                 kind = "%s of equal parts, %s states together, such as" % (
                     "some recurrent class"
@@ -266,7 +266,7 @@ def _steady_text(steady: Mapping[str, Any], spans: Mapping[str, Any]) -> Iterato
         yield "    %-32s %14s%s" % (transition, _number(value), within)
     for measure, errors in steady.get("unsure", {}).items():
         for name, error in errors.items():
-            yield "    unsure: %s of %s, by about %.0e of the value" % (
+            yield "    inexact: %s of %s, by about %.0e of the value" % (
                 measure.replace("_", " "),
                 name,
                 error if isinstance(error, float) else math.inf,

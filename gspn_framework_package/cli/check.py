@@ -51,7 +51,7 @@ _QUESTIONS: Arguments = {
     ),
     "--moves": (
         "decide whether every robot of a plan that is not at an end can move again, from every "
-        "marking: none waits for ever"
+        "marking, so that none waits for ever"
     ),
 }
 
@@ -64,7 +64,7 @@ OPTIONS: Arguments = {
         "maximum number of markings to visit if structure cannot decide (default %(default)s)"
     ),
     Argument("--robots", "N", numbers.robots): "check the plan for a team of N robots",
-    "--standalone": "check the plan for agents, which transitions may create and destroy",
+    "--standalone": "check the plan for agents; transitions may create and destroy agents",
     Argument("--seconds", "S", numbers.number(0, 1e6), PROOF_SECONDS): (
         "time for each question that visiting markings leaves open, and for each that is asked "
         "(default %(default)g)"
@@ -78,7 +78,7 @@ OPTIONS: Arguments = {
 }
 
 EPILOG = (
-    "Exit codes: 0 the plan may run (read the warnings) and all that was asked is proven, 1 "
+    "Exit codes: 0 the plan may run (read the warnings) and everything asked is proven, 1 "
     "refused, or something is not proven, 2 not a plan."
 )
 

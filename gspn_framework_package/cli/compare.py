@@ -65,7 +65,7 @@ OPTIONS: Arguments = {
         "event logs of one or several runs of the plan, or folders of them"
     ),
     "--replay": (
-        "play the recorded runs on PLAN, which may be another plan than theirs, and compare it "
+        "replay the recorded runs under PLAN, which may differ from their plan, and compare it "
         "with the plan that they followed: the same tasks, durations, outcomes, failures and losses"
     ),
     repeated("--map", "OLD=NEW"): (
@@ -191,7 +191,7 @@ def _read_runs(
         name, observer = _observe(plan, log, progress)
         attempts = [a for a in gathered.attempts if a.log in numbers_of_logs]
         if observer.seconds <= 0:
-            raise LogError("contains no run: no time passes in it", file=log.path)
+            raise LogError("contains no run: its duration is 0", file=log.path)
         notes += ["run %s: %s" % (name, note) for note in observer.all_notes()]
         runs.append(_Run(name, observer, attempts))
     return runs, notes
@@ -308,8 +308,8 @@ def comparison_text(result: LogComparison) -> Iterator[str]:
             raised = "  ALARM after %.1f s" % stream.alarms[0].at if stream.alarms else ""
             yield "%-44s %11.2f  %11.2f%s" % (name, nearest.value, nearest.threshold, raised)
         for alarm in monitor.alarms:
-            told = alarm.at, max(alarm.since, 0.0), alarm.describe()
-            yield "ALARM after %.1f s, since about %.1f s: %s" % told
+            reported = alarm.at, max(alarm.since, 0.0), alarm.describe()
+            yield "ALARM after %.1f s, since about %.1f s: %s" % reported
     yield ""
     yield "all thresholds together: one false alarm in %s" % _long(result.alarm_every)
     outside = sum(not m.inside for m in result.comparison.measures)

@@ -55,7 +55,7 @@ def beginning_of(args: argparse.Namespace) -> Optional[Beginning]:
             raise UsageError("--%s does not apply to a recorded run" % name)
     if args.batches or args.measure or args.timing != "run" or args.rates != "fitted":
         raise UsageError(
-            "a recorded run continues as it ran; --batches, --timing and --rates do not apply"
+            "a recorded run keeps its timing; --batches, --timing and --rates do not apply"
         )
     log = read_log(path)
     last = None

@@ -70,8 +70,8 @@ _OPTIONS: Arguments = {
         )
     ),
     "--run-net": (
-        "of a plan: its run net, which has the numbers of the plan as it runs under its policy; "
-        "'gspn explain --run-net' says what is what in it"
+        "write the run net of the plan, which has the same numbers as the plan under its policy; "
+        "'gspn explain --run-net' explains its places and transitions"
     ),
     **PHASES_OPTION,
     choice("--timing", READINGS): (
@@ -91,7 +91,7 @@ _OPTIONS: Arguments = {
     "--json": "print a summary as a JSON object",
 }
 
-_NO_TIMING = "--timing is for run nets (--run-net) and for the chains of plans"
+_NO_TIMING = "--timing applies only to run nets (--run-net) and to the chains of plans"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -107,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
     if args.output == "-" and args.json:
         raise UsageError("--json and the net cannot both go to standard output")
     if args.run_net and args.expand:
-        raise UsageError("--expand is for nets, and --run-net for plans")
+        raise UsageError("--expand applies to nets, and --run-net to plans")
     suffix = Path(args.output).suffix.lower()
     if (
         args.to == PLAN_FORMAT
@@ -115,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
         and (suffix == ".json" or os.path.isdir(args.output))
     ):
         if args.run_net:
-            raise UsageError("a run net is a net, and %s a plan" % args.output)
+            raise UsageError("a run net is a net, but %s is a plan" % args.output)
         if args.timing:
             raise UsageError(_NO_TIMING)
         check_phases(args, None)
@@ -124,15 +124,17 @@ def run(args: argparse.Namespace) -> int:
     if chain in CHAINS:
         if args.expand:
             raise UsageError(
-                "--expand is for nets", hint="write the expanded net first, then its chain"
+                "--expand applies only to nets", hint="write the expanded net first, then its chain"
             )
         if args.run_net:
-            raise UsageError("--run-net is for nets", hint="a plan has a chain without it")
+            raise UsageError(
+                "--run-net writes only nets", hint="the chain of a plan does not need it"
+            )
         return _write_chain(args, chain)
     if args.timing and not args.run_net:
         raise UsageError(_NO_TIMING)
     if args.label:
-        raise UsageError("--label is for chains: %s" % ", ".join(CHAINS.values()))
+        raise UsageError("--label applies only to chains: %s" % ", ".join(CHAINS.values()))
     target = format_named(args.to) if args.to else format_of_name(args.output)
     if not args.run_net:
         check_phases(args, None)
@@ -152,20 +154,20 @@ def run(args: argparse.Namespace) -> int:
         "transitions": len(net.transitions),
         "arcs": len(net.arcs),
     }
-    return _tell(args, {**done, **sizes}, notes + losses)
+    return _report(args, {**done, **sizes}, notes + losses)
 
 
 def _read_run_net(args: argparse.Namespace) -> Tuple[Net, List[str]]:
     """Return the run net of a plan, with notes."""
     plan, notes = read_net_or_plan_argument(args)
     if not isinstance(plan, Plan):
-        raise UsageError("--run-net is for plans, and this is a net", file=args.net_file)
+        raise UsageError("--run-net applies to plans, but this is a net", file=args.net_file)
     check_phases(args, plan)
     literal, assumed = run_net_of(plan, args.timing or RUN, args.phases)
     return literal.net, notes + assumed
 
 
-def _tell(args: argparse.Namespace, done: Dict[str, Any], notes: List[str]) -> int:
+def _report(args: argparse.Namespace, done: Dict[str, Any], notes: List[str]) -> int:
     """Print what was written, as JSON, or only the notes; return 0."""
     if args.json:
         print(json.dumps({**done, "notes": notes}, indent=2, ensure_ascii=False))
@@ -211,7 +213,7 @@ def _write_chain(args: argparse.Namespace, kind: str) -> int:
     for path, data in zip(written, files.values()):
         write_bytes(path, data)
     sizes = {"states": len(chain.states), "rates": len(chain.rates)}
-    return _tell(args, {"output": written, "format": kind, **sizes}, notes)
+    return _report(args, {"output": written, "format": kind, **sizes}, notes)
 
 
 def _write_plan(args: argparse.Namespace) -> int:
@@ -237,7 +239,7 @@ def _write_plan(args: argparse.Namespace) -> int:
     path = plan_path(args.output)
     refuse_existing(path)
     notes += write_plan(plan, plan_to_short_json(plan), args.output)
-    return _tell(args, {"output": path, "format": PLAN_FORMAT, "plan": plan.name}, notes)
+    return _report(args, {"output": path, "format": PLAN_FORMAT, "plan": plan.name}, notes)
 
 
 def _labels(words: List[str]) -> Dict[str, str]:

@@ -22,7 +22,7 @@ from gspn_framework_package.model.errors import InputError, LimitError, RefusedE
 from gspn_framework_package.model.plan import Plan
 
 _CHAIN = Limits(states=20_000, seconds=10.0)
-"""How large a plan is analysed; a larger one is simulated."""
+"""Largest number of states to analyse; a larger plan is simulated."""
 
 _HOUR = 3600.0
 
@@ -182,7 +182,7 @@ def _built(
     except InputError as error:
         if error.element in ["Free_group_" + name for name in groups]:
             error.hint = (
-                "more robots there can wait for each other for ever: choose another 'start', or "
+                "with more robots there, they can block each other: choose another 'start', or "
                 "let nodes hold more"
             )
         raise
@@ -221,7 +221,7 @@ def _what_remains(answers: List[Answer], groups: Mapping[str, MapGroup]) -> Inpu
     tried = "; ".join(
         "%d in %s" % (group.capacity, ", ".join(group.nodes)) for group in groups.values()
     )
-    text = next(filter(None, map(_stuck, answers)), "") or "it is not decided whether %s" % next(
+    text = next(filter(None, map(_stuck, answers)), "") or "not decided: whether %s" % next(
         answer.question.statement for answer in answers if answer.verdict != PROVEN
     )
     return InputError(

@@ -33,7 +33,7 @@ OPTIONS: Arguments = {
         "NEW_PLAN); '' for the robots' original folder"
     ),
     Argument("--wait", "S", float, 30.0): (
-        "seconds that the robots have to check the plan (default %(default)g)"
+        "seconds within which the robots must check the plan (default %(default)g)"
     ),
     Argument("--replay", "HISTORY", nargs="+"): (
         "first play recorded runs on NEW_PLAN, and do not deploy it if it is worse than the plan "
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
         found = _on_history(args, plan, mapping)
         more["replay"] = found.to_json()
         if found.worse and not args.force:
-            return _told(args, False, "%s; --force deploys it anyway" % found.verdict, **more)
+            return _reported(args, False, "%s; --force deploys it anyway" % found.verdict, **more)
     if args.standalone is not None:
         return _into_run(args, plan, mapping, more)  # because its own verdict decides
     obey(check_all(plan), plan)
@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
 
     entry = stage_of(plan, mapping, _folder(args, plan))
     outcome = deploy_to_team(order, statuses, entry, stage_only=args.stage_only, wait=args.wait)
-    return _told(
+    return _reported(
         args, outcome.done, outcome.message, stage=outcome.stage, votes=dict(outcome.votes), **more
     )
 
@@ -112,7 +112,7 @@ def _on_history(args: argparse.Namespace, plan: Plan, mapping: Dict[str, str]) -
 def _into_run(
     args: argparse.Namespace, plan: Plan, mapping: Dict[str, str], more: Dict[str, Any]
 ) -> int:
-    """Have a run without ROS switch to the plan. ``more``: what else to tell with ``--json``."""
+    """Have a run without ROS switch to the plan. ``more``: further fields for ``--json``."""
     from gspn_framework_package.execution import control_socket
     from gspn_framework_package.formats.plan_file import PLAN_FILE
 
@@ -125,10 +125,10 @@ def _into_run(
         os.path.abspath(plan.file or args.plan), mapping, folder, args.wait
     )
     answer = control_socket.ask_to_deploy(run, request)
-    return _told(args, answer["done"], answer["message"], process=run.process, **more)
+    return _reported(args, answer["done"], answer["message"], process=run.process, **more)
 
 
-def _told(args: argparse.Namespace, done: bool, message: str, **more: Any) -> int:
+def _reported(args: argparse.Namespace, done: bool, message: str, **more: Any) -> int:
     """Print the outcome; returns the exit code."""
     if args.json:
         print(json.dumps({"order": "deploy", "done": done, "message": message, **more}))

@@ -29,8 +29,8 @@ OPTIONS: Arguments = {
         "the transitions to fire, in order; by default the firing sequences found by 'gspn check'"
     ),
     "--run-net": (
-        "say instead what each place and transition of the run net stands for, which 'gspn convert "
-        "--run-net' writes"
+        "instead explain each place and transition of the run net that 'gspn convert --run-net' "
+        "writes"
     ),
     choice("--timing", READINGS): (
         "with --run-net: as the plan runs (default), or as a race of its net's rates"
@@ -56,37 +56,37 @@ def run(args: argparse.Namespace) -> int:
     if args.robots is not None:
         plan = plan.for_robots(args.robots)
     if args.timing and not args.run_net:
-        raise UsageError("--timing goes with --run-net")
+        raise UsageError("--timing requires --run-net")
     check_phases(args, plan, args.run_net)
     if args.run_net:
         return _explain_run_net(plan, args)
-    told = [{"text": "", "sequence": args.transitions}] if args.transitions else _found(plan, args)
+    shown = [{"text": "", "sequence": args.transitions}] if args.transitions else _found(plan, args)
     net = with_losses(plan.net, plan, set())  # as in the check, robots may be lost
-    for each in told:
+    for each in shown:
         played = play_sequence(net, each.pop("sequence"))
         each.update(played.to_json(), enabled_at_the_end=_enabled(plan, played.markings[-1]))
     if args.json:
-        print(json.dumps({"plan": plan.name, "sequences": told}, indent=2, ensure_ascii=False))
-    elif told:
-        print("\n\n".join(_text(each) for each in told))
+        print(json.dumps({"plan": plan.name, "sequences": shown}, indent=2, ensure_ascii=False))
+    elif shown:
+        print("\n\n".join(_text(each) for each in shown))
     else:
         print("no finding of the check has a firing sequence")
-    return int(any(each["stopped_by"] for each in told))
+    return int(any(each["stopped_by"] for each in shown))
 
 
 def _explain_run_net(plan: Plan, args: argparse.Namespace) -> int:
     """Print what the places and transitions of the run net stand for."""
     if args.transitions:
-        raise UsageError("--run-net plays no transitions")
+        raise UsageError("--run-net fires no transitions")
     literal, notes = run_net_of(plan, args.timing or RUN, args.phases)
     if args.json:
-        told = {
+        shown = {
             "plan": plan.name,
             "places": {name: {"of": m.of, "text": m.text} for name, m in literal.places.items()},
             "transitions": {name: m._asdict() for name, m in literal.transitions.items()},
             "notes": notes,
         }
-        print(json.dumps(told, indent=2, ensure_ascii=False))
+        print(json.dumps(shown, indent=2, ensure_ascii=False))
         return 0
     print_notes(notes)
     for what, explained in (("places", literal.places), ("transitions", literal.transitions)):
@@ -119,14 +119,16 @@ def _enabled(plan: Plan, marking: Sequence[int]) -> List[str]:
     return [plan.net.transitions[t].name for t in plan.net.enabled(marking)]
 
 
-def _text(told: Dict[str, Any]) -> str:
-    lines = ["%s %s: %s" % (told["severity"], told["check"], told["text"])] if told["text"] else []
-    lines.append("at the start: %s" % _marking(told["start"]))
-    for number, step in enumerate(told["steps"], 1):
+def _text(shown: Dict[str, Any]) -> str:
+    lines = (
+        ["%s %s: %s" % (shown["severity"], shown["check"], shown["text"])] if shown["text"] else []
+    )
+    lines.append("at the start: %s" % _marking(shown["start"]))
+    for number, step in enumerate(shown["steps"], 1):
         lines.append("%3d  %s: %s" % (number, step["transition"], _marking(step["marking"])))
-    enabled = told["enabled_at_the_end"]
+    enabled = shown["enabled_at_the_end"]
     lines.append(
-        told["stopped_by"] or "then enabled: %s" % (", ".join(enabled) if enabled else "nothing")
+        shown["stopped_by"] or "then enabled: %s" % (", ".join(enabled) if enabled else "nothing")
     )
     return "\n".join(lines)
 

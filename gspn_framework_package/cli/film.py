@@ -59,15 +59,15 @@ def run(args: argparse.Namespace) -> int:
                 )
     finally:
         film.close()
-    told = {
+    reported = {
         "film": args.film,
         "pictures": film.count,
         "seconds": round(time.monotonic() - begin, 1),
     }
     if args.json:
-        print(json.dumps(told))
+        print(json.dumps(reported))
     else:
-        print("%s: %d pictures in %.0f s" % (args.film, film.count, told["seconds"]))
+        print("%s: %d pictures in %.0f s" % (args.film, film.count, reported["seconds"]))
     return 0
 
 

@@ -82,7 +82,7 @@ _OUTPUT: Arguments = {
         "simulations and comparisons follow them"
     ),
     Argument("--within", "PERCENT", numbers.number(0.01, 100.0), 5.0): (
-        "how exact each value should be: what half of its 95 %% interval may be, in percent of a "
+        "precision of each value: the largest half-width of its 95 %% interval, in percent of a "
         "mean duration or a rate, or in points of a probability; the output says how much more log "
         "that needs (default %(default)g)"
     ),
@@ -184,9 +184,9 @@ def learn_from_logs(
         attempts, events = list(gathered.attempts), gathered.events
         notes, runs = list(gathered.notes), len(gathered.runs)
     for number, path in enumerate(bags, len(files)):
-        found, told, of = _from_bag(plan, path, number)
+        found, reported, of = _from_bag(plan, path, number)
         attempts += found
-        notes += told
+        notes += reported
         runs += of
     report = fit_plan(plan, attempts, events, choice, seed=seed, progress=progress, on=on)
     report = report._replace(notes=(*notes, *report.notes))
@@ -224,7 +224,7 @@ def _from_bag(plan: Plan, path: str, number: int) -> Tuple[List[Attempt], List[s
 
 
 def source_text(learned: Learned) -> str:
-    """What was learned from, in a few words."""
+    """The sources of the fit, in a few words."""
     logs, runs = _many(len(learned.logs)), _many(learned.runs)
     return "%d attempts in %d log%s of %d run%s" % (learned.attempts, *logs, *runs)
 
@@ -303,13 +303,13 @@ def _share_lines(label: str, shares: Mapping[Any, OutcomeFit]) -> Iterator[str]:
 
 
 def needs_text(report: FitReport, within: float) -> List[str]:
-    """What the logs are too short for, as lines of text; ``within`` as in
+    """The quantities for which the logs are too short, as lines of text; ``within`` as in
     :meth:`.FitReport.needs`."""
     needs = report.needs(within)
     if not needs:
         return ["every value is known to %.3g %%" % (100 * within)]
-    told = ["%d not known to %.3g %%:" % (len(needs), 100 * within)]
-    return told + ["  " + need.text() for need in needs]
+    reported = ["%d values are not known to %.3g %%:" % (len(needs), 100 * within)]
+    return reported + ["  " + need.text() for need in needs]
 
 
 def _row(place: str, found: PlaceFit) -> Tuple[str, ...]:

@@ -10,13 +10,12 @@ from gspn_framework_package.model.errors import UsageError
 
 HISTORY_OPTIONS: Arguments = {
     repeated("--reward", "NAME=R"): (
-        "with --replay: what counts: R per token in a place and second, or per firing of a "
+        "with --replay: the measure: R per token in a place and second, or per firing of a "
         "transition; a negative R is a cost. NAME may be a pattern. May be repeated (default: "
         "tasks that are done)"
     ),
     Argument("--margin", "PERCENT", numbers.number(0.0, 100.0), 5.0): (
-        "with --replay: how much worse the plan may be than the one of the recorded runs (default "
-        "%(default)g)"
+        "with --replay: how much worse than the recorded plan it may be (default %(default)g)"
     ),
 }
 

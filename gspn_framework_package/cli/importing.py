@@ -16,21 +16,21 @@ from gspn_framework_package.model.errors import UsageError
 OPTIONS: Arguments = {
     Argument(
         "tree_file", "TREE"
-    ): "a behaviour tree of BehaviorTree.CPP 4 (.xml); of py_trees, or a machine of SMACH (.py)",
+    ): "a BehaviorTree.CPP 4 tree (.xml), a py_trees tree (.py), or a SMACH machine (.py)",
     Argument("-o --output", "DIR", required=True): "the folder to create",
     Argument("--robots", "N", numbers.robots, 1): (
         "number of robots, each of which runs the tree (default %(default)s)"
     ),
     Argument("--tree", "ID"): (
-        "the tree to begin with (default: the one that the file says); of a Python file, the "
-        "function that makes it, or would run it, or the variable that holds it"
+        "the root tree (default: the one that the file names); for a Python file, the function "
+        "that makes or runs it, or the variable that holds it"
     ),
-    "--ticks": "of py_trees: each tick of a leaf is an action, as nodes without memory need it",
-    "--run-file": "let a Python file run, which shows what it makes",
+    "--ticks": "for py_trees: each tick of a leaf is an action, which nodes without memory require",
+    "--run-file": "run the Python file to find out what it makes",
     "--json": "print a JSON object",
 }
 
-EPILOG = "Exit codes: 0 the plan was written, 2 the file has what a plan cannot express."
+EPILOG = "Exit codes: 0 the plan was written, 2 a plan cannot express the file."
 
 
 def run(args: argparse.Namespace) -> int:

@@ -61,7 +61,7 @@ class _Improvement(NamedTuple):
 
     @property
     def new_doubts(self) -> List[str]:
-        """What the check says against the new plan and not against the old one."""
+        """The findings for the new plan that the old plan did not have."""
         known = {item.text for item in self.before}
         return [i.text for i in self.after if i.severity is not Severity.OK and i.text not in known]
 
@@ -84,10 +84,12 @@ class _Improvement(NamedTuple):
             "Learned from " + source_text(learned),
             [*fit_table(learned.report), *("note: " + note for note in learned.report.notes)],
         )
-        yield _Section("The runs beside what was learned", list(comparison_text(self.comparison)))
+        yield _Section(
+            "The runs compared with the learned model", list(comparison_text(self.comparison))
+        )
         yield _Section("The computed policy", self.report.lines())
         yield _Section(
-            "What the check says about it",
+            "Findings of the check",
             ["%-8s %s" % (item.severity.value, item.text) for item in self.after],
         )
 
@@ -105,7 +107,7 @@ class _Improvement(NamedTuple):
             text += "; the runs differ from what was learned, so expect less"
         doubts = self.new_doubts
         if doubts:
-            text += "; the check warns of something new: %s" % "; ".join(doubts)
+            text += "; the check has new warnings: %s" % "; ".join(doubts)
         return text
 
 

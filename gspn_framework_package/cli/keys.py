@@ -37,30 +37,30 @@ _JSON: Arguments = {"--json": "print JSON"}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the subcommands of this verb with their arguments."""
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for name, told, command in (
+    for name, reported, command in (
         ("team", "create an authority, and keys for each member, in a new folder", _make),
         ("add", "create keys for further members, or new keys for revoked ones", _add),
     ):
-        made = commands.add_parser(name, help=told, description=told)
+        made = commands.add_parser(name, help=reported, description=reported)
         add_options(made, {**_NEW_MEMBERS, **_JSON})
         made.set_defaults(command=command)
-    told = "remove a member from the allow-list; then copy the new team.json to each router"
-    revoked = commands.add_parser("revoke", help=told, description=told)
+    reported = "remove a member from the allow-list; then copy the new team.json to each router"
+    revoked = commands.add_parser("revoke", help=reported, description=reported)
     add_options(revoked, {**_FOLDER, Argument("name", "NAME"): "name of the member", **_JSON})
     revoked.set_defaults(command=_revoke)
-    told = "create a key shared by all robots and operators of a team on ROS"
-    shared = commands.add_parser("shared", help=told, description=told)
+    reported = "create a key shared by all robots and operators of a team on ROS"
+    shared = commands.add_parser("shared", help=reported, description=reported)
     add_options(shared, {Argument("file", "FILE"): "a new file; copy it to each robot"})
     shared.set_defaults(command=_share)
-    told = "show the members of the team, and how long their certificates are valid"
-    shown = commands.add_parser("show", help=told)
+    reported = "show the members of the team, and how long their certificates are valid"
+    shown = commands.add_parser("show", help=reported)
     add_options(
         shown, {Argument("folder", "DIR"): "the folder of the team or of one member", **_JSON}
     )
     shown.set_defaults(command=_show)
     parser.epilog = (
-        "Copy the folder DIR/NAME to each member, and nothing else of DIR; keep the folder "
-        "DIR/%s yourself. Exit codes: 0 done, 2 not done." % keys.AUTHORITY
+        "Copy only the folder DIR/NAME to each member; keep the folder "
+        "DIR/%s yourself. Exit codes: 0 success, 2 failure." % keys.AUTHORITY
     )
 
 
@@ -70,15 +70,15 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _make(args: argparse.Namespace) -> int:
-    return _tell(keys.make_team(args.folder, _named(args), args.days), args)
+    return _report(keys.make_team(args.folder, _named(args), args.days), args)
 
 
 def _add(args: argparse.Namespace) -> int:
-    return _tell(keys.add_members(args.folder, _named(args), args.days), args)
+    return _report(keys.add_members(args.folder, _named(args), args.days), args)
 
 
 def _revoke(args: argparse.Namespace) -> int:
-    return _tell(keys.revoke(args.folder, args.name), args)
+    return _report(keys.revoke(args.folder, args.name), args)
 
 
 def _share(args: argparse.Namespace) -> int:
@@ -90,7 +90,7 @@ def _share(args: argparse.Namespace) -> int:
 
 
 def _show(args: argparse.Namespace) -> int:
-    return _tell(keys.read_team(args.folder), args)
+    return _report(keys.read_team(args.folder), args)
 
 
 def _named(args: argparse.Namespace) -> List[keys.NewMember]:
@@ -107,7 +107,7 @@ def _named(args: argparse.Namespace) -> List[keys.NewMember]:
     return members
 
 
-def _tell(rows: Sequence[keys.KeyHolder], args: argparse.Namespace) -> int:
+def _report(rows: Sequence[keys.KeyHolder], args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps({"members": [row._asdict() for row in rows]}))
         return 0

@@ -85,7 +85,7 @@ VERB_GROUPS: Dict[str, Dict[str, Verb]] = {
         ),
         "import": Verb(
             ".importing",
-            "make a plan of a behaviour tree (BehaviorTree.CPP, py_trees) or a machine of SMACH",
+            "make a plan from a behaviour tree (BehaviorTree.CPP, py_trees) or SMACH machine",
             "import tree.xml -o my_plan --robots 2",
         ),
         "check": Verb(
@@ -145,7 +145,7 @@ VERB_GROUPS: Dict[str, Dict[str, Verb]] = {
         ),
         "improve": Verb(
             ".improve",
-            "learn from logs, compute a better policy for what was learned, and say what it gains",
+            "learn from logs, compute a better policy for the learned plan, and report its gain",
             "improve my_patrol run.jsonl --reward arrive=1 -o better.json",
         ),
         "compare": Verb(
@@ -192,7 +192,7 @@ VERB_GROUPS: Dict[str, Dict[str, Verb]] = {
         ),
         "report": Verb(
             ".report",
-            "tell the story of a recorded run: who waited for whom, and why",
+            "report the story of a recorded run: who waited for whom, and why",
             "report run.jsonl -o report.html",
         ),
         "verify": Verb(
@@ -212,7 +212,7 @@ VERB_GROUPS: Dict[str, Dict[str, Verb]] = {
         ),
         "room": Verb(
             ".room",
-            "make a room for simulated robots of a map, or of a world of Gazebo",
+            "make a room for simulated robots from a map or a Gazebo world",
             "room map.yaml -o room.yaml",
         ),
         "film": Verb(
@@ -230,7 +230,7 @@ VERB_GROUPS: Dict[str, Dict[str, Verb]] = {
     "this command": {
         "completion": Verb(
             ".completion",
-            "print what lets bash or zsh complete verbs, options and their values",
+            "print the completion script for bash or zsh",
             "completion bash",
         ),
         "man": Verb(".man", "print a manual page with all verbs and options", "man"),
@@ -243,7 +243,7 @@ VERB_GROUPS: Dict[str, Dict[str, Verb]] = {
         ),
     },
 }
-"""What verbs are for -> verb -> its module; orders to a team come to the last."""
+"""Purpose -> verb -> its module; orders to a team are added to the last purpose."""
 
 VERBS: Dict[str, Verb] = {
     name: verb for verbs in VERB_GROUPS.values() for name, verb in verbs.items()

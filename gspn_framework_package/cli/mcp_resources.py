@@ -12,7 +12,7 @@ from gspn_framework_package.model.errors import InputError, LimitError
 from gspn_framework_package.visualizer.documents import Folder
 
 FILES, DOCUMENTS = "gspn://files/", "gspn://docs/"
-"""How the addresses of files and of documents begin."""
+"""Prefixes of the addresses of files and of documents."""
 
 _MEDIA = {".json": "application/json", ".jsonl": "application/jsonl", ".md": "text/markdown"}
 _BINARY = (".bag",)
@@ -28,7 +28,7 @@ def documents_folder() -> str:
 
 
 class Resources:
-    """What may be read.
+    """The resources that may be read.
 
     :param folder: the folder of the plans.
     :param characters: maximum length of an answer.

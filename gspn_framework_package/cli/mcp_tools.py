@@ -297,7 +297,7 @@ WITHHELD = {
     **dict.fromkeys(("memory", "scratch"), "fills the disk"),
     **dict.fromkeys(("on", "modules"), "whoever starts the server decides where what is computed"),
     **dict.fromkeys(("limit-time", "limit-memory"), "limits of the server"),
-    "against": "a path: a field of its own",
+    "against": "a path: a separate field",
     **dict.fromkeys(("example", "list"), "resources and list_plans have it"),
 }
 """Option of a verb -> why it cannot be given to a tool."""
@@ -471,8 +471,8 @@ class _Runs:
             err.seek(0)
             if child.returncode in (0, 1) and os.fstat(out.fileno()).st_size:
                 return out.read().decode("utf-8", "replace")
-            told = err.read(10_000).decode("utf-8", "replace").strip()
-        raise InputError(told.split("error: ", 1)[-1] or "no answer (%d)" % child.returncode)
+            reported = err.read(10_000).decode("utf-8", "replace").strip()
+        raise InputError(reported.split("error: ", 1)[-1] or "no answer (%d)" % child.returncode)
 
     def _wait(self, child: subprocess.Popen[bytes]) -> None:
         while True:
@@ -504,7 +504,7 @@ def _field_name(option: str) -> str:
 
 
 def _option_schema(option: argparse.Action) -> Schema:
-    """What an option takes, with its help."""
+    """The schema of an option's value, with its help."""
     read = option.type
     schema: Schema = dict(_TEXT)
     if option.nargs == 0:

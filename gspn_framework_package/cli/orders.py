@@ -38,7 +38,7 @@ class OrderVerb(NamedTuple):
         return " ".join(filter(None, (verb_of(self.command), self.order.example)))
 
     def load(self) -> Any:
-        """Return what declares the verb's arguments and runs it: a module of its own, or this."""
+        """Return what declares the verb's arguments and runs it: a separate module, or this."""
         if self.command in OWN_MODULES:
             return importlib.import_module("." + self.command, __package__)
         return self

@@ -44,15 +44,15 @@ def run(args: argparse.Namespace) -> int:
         return 0
     router = Router(listen, args.connect, args.keys, limited=not args.no_limit)
     try:
-        _tell(args, "listening at %s; %s" % (", ".join(listen), _who(router)), listen=listen)
+        _report(args, "listening at %s; %s" % (", ".join(listen), _who(router)), listen=listen)
         with contextlib.suppress(KeyboardInterrupt):
             while True:
                 time.sleep(_LOOK_PERIOD)
                 news = router.follow_keys()
                 if news:
-                    _tell(args, news, members=router.members)
+                    _report(args, news, members=router.members)
                 for flood in router.floods():
-                    _tell(args, flood)
+                    _report(args, flood)
     finally:
         router.close()
     return 0
@@ -64,7 +64,7 @@ def _who(router: Router) -> str:
     return "%d members may take part" % router.members
 
 
-def _tell(args: argparse.Namespace, text: str, **more: object) -> None:
+def _report(args: argparse.Namespace, text: str, **more: object) -> None:
     if args.json:
         print(json.dumps({"told": text, **more}))
     else:

@@ -56,8 +56,8 @@ def print_table(statuses: Dict[str, Optional[Dict[str, Any]]]) -> None:
         pause = ", paused: actions are stopped" if longest.get("stopped") else ", paused"
         paused = pause if longest["paused"] else ""
         over = ", over: %s" % longest["ended"] if longest["ended"] else ""
-        told = run_name, longest["synchronisation"], paused + over
-        print("run %s, %s synchronisation%s" % told)
+        reported = run_name, longest["synchronisation"], paused + over
+        print("run %s, %s synchronisation%s" % reported)
         rows: List[Sequence[str]] = [_COLUMNS]
         for robot in longest["robots"]:
             own = next((s for s in of_run if s["robot"] == robot["robot"]), None)
@@ -87,13 +87,15 @@ def data_lines(status: Dict[str, Any]) -> List[str]:
         lines += [
             "%s robot.%s: %s" % (name, key, shown(v)) for key, v in robot.get("data", {}).items()
         ]
-    told = status.get("data", {})
-    lines += ["team.%s: %s" % (key, shown(v)) for key, v in told.get("team", {}).items()]
-    for place, tasks in told.get("queues", {}).items():
+    reported = status.get("data", {})
+    lines += ["team.%s: %s" % (key, shown(v)) for key, v in reported.get("team", {}).items()]
+    for place, tasks in reported.get("queues", {}).items():
         ids = ", ".join(task[0] or "a task without an id" for task in tasks[:SHOWN_TASKS])
         more = " and %d more" % (len(tasks) - SHOWN_TASKS) if len(tasks) > SHOWN_TASKS else ""
         lines.append("queue %s: %s%s" % (place, ids or "no task", more))
-    lines += ["%s: task %s is waiting outside" % tuple(waits) for waits in told.get("waiting", [])]
+    lines += [
+        "%s: task %s is waiting outside" % tuple(waits) for waits in reported.get("waiting", [])
+    ]
     return lines
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 OPTIONS: Arguments = {
     **TEAM_OPTIONS,
-    "--follow": "tell how each task ends from now on, until Ctrl-C; with --json, an object a line",
+    "--follow": "report how each task ends, until Ctrl-C; with --json, one object per line",
     Argument("--post", "URL", default=""): (
         "with --follow: post each as JSON to this web address (http:// or https://)"
     ),
@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def follow(client: OperatorClient, run: str, tell: Callable[[TaskNotice], None]) -> int:
-    """Tell how each task ends from now on, until the program is interrupted.
+    """Report how each task ends from now on, until the program is interrupted.
 
     :raises ExecutionError: no robot answers at first.
     """
@@ -82,7 +82,7 @@ def follow(client: OperatorClient, run: str, tell: Callable[[TaskNotice], None])
 
 
 def _teller(args: argparse.Namespace) -> Callable[[TaskNotice], None]:
-    """What tells of a task as the options say. :raises UsageError: they make no sense."""
+    """The function that reports a task. :raises UsageError: the options make no sense."""
     hook = WebHook(args.post, args.private_host) if args.post else None
 
     def tell(notice: TaskNotice) -> None:
@@ -106,7 +106,7 @@ def _ended(notice: TaskNotice) -> str:
     return "%s: %s (%s)" % (notice["id"], notice["outcome"], notice["why"])
 
 
-def lines(told: Mapping[str, Any]) -> List[str]:
+def lines(reported: Mapping[str, Any]) -> List[str]:
     """The answer of a robot as lines of text."""
     rows: List[Sequence[str]] = [_COLUMNS]
     rows += [
@@ -123,10 +123,10 @@ def lines(told: Mapping[str, Any]) -> List[str]:
             str(task["attempts"]),
             task["trouble"],
         )
-        for task in told["tasks"]
+        for task in reported["tasks"]
     ]
-    ended = map(_ended, told["ended"])
-    return [*(aligned(rows) if told["tasks"] else ["the team has no task"]), *ended]
+    ended = map(_ended, reported["ended"])
+    return [*(aligned(rows) if reported["tasks"] else ["the team has no task"]), *ended]
 
 
 def _clock(seconds: Optional[float]) -> str:

@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def given_up(statuses: Mapping[Any, Dict[str, Any]]) -> List[str]:
-    """What the order gives up, line by line.
+    """The losses that the order accepts, one per line.
 
     :param statuses: the statuses of the run's robots that answer.
     """

@@ -184,7 +184,7 @@ class PythonFunction:
     known: ClassVar[Tuple[str, ...]] = ()
     """The parameter names by which the function may ask for values."""
     role: ClassVar[str] = "function"
-    """What error messages call this kind of function."""
+    """The name of this kind of function in error messages."""
 
     def __init__(
         self, function: Callable[..., Any], name: str, settings: Mapping[str, Any] = NO_SETTINGS

@@ -23,7 +23,8 @@ _LOOK_EVERY = 0.1
 children."""
 
 _DYING = 10.0
-"""Most seconds that a killed program is waited for: a busy machine takes a while to end it."""
+"""Maximum number of seconds to wait for a killed program to end: a busy machine takes a while to
+end it."""
 
 READ_SIZE = 65_536
 """Number of bytes read at once."""

@@ -188,7 +188,7 @@ class _Watcher:
         self._lock = threading.Lock()
         self._asked_again = threading.Event()
         self._holds = False
-        self._told = ""
+        self._reported = ""
 
     def run(self) -> None:
         """Run the function, or call it repeatedly, until it is stopped."""
@@ -202,7 +202,7 @@ class _Watcher:
             self._asked_again.clear()
             try:
                 self._take(self._call(self._host.data_of(self._robot)))
-                self._told = ""
+                self._reported = ""
             except _FunctionFailed as error:
                 self._report_fault(str(error))
             self._asked_again.wait(self._every)
@@ -275,8 +275,8 @@ class _Watcher:
             self._host.submit(entry)
 
     def _report_fault(self, text: str) -> None:
-        if text != self._told and not self.cancellation():
-            self._told = text
+        if text != self._reported and not self.cancellation():
+            self._reported = text
             self._host.fault(self._robot, "%s failed: %s" % (self.what, text))
 
 

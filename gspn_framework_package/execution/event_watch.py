@@ -53,7 +53,7 @@ class EventWatch:
         cause."""
         self._visit: Optional[Visit] = None
         self._since = 0.0
-        self._told: Dict[str, None] = {}
+        self._reported: Dict[str, None] = {}
         """Events of this visit for which an entry was made and that still hold."""
 
     def go_on_from(self, before: EventWatch, mapping: Mapping[str, str]) -> None:
@@ -68,7 +68,7 @@ class EventWatch:
                 same[name] = new
         self._holds = {same[t]: cause for t, cause in before._holds.items() if t in same}
         self._came = {same[t]: cause for t, cause in before._came.items() if t in same}
-        self._told = {same[t]: None for t in before._told if t in same}
+        self._reported = {same[t]: None for t in before._reported if t in same}
         self._since = before._since
         if before._visit is not None:
             place = before._visit.place
@@ -96,7 +96,7 @@ class EventWatch:
             self._holds.setdefault(transition, cause)
         else:
             self._holds.pop(transition, None)
-            self._told.pop(transition, None)
+            self._reported.pop(transition, None)
 
     def due(self, visit: Optional[Visit], now: float) -> List[log_entries.Interrupt]:
         """The events that should now interrupt the robot, each once.
@@ -106,7 +106,7 @@ class EventWatch:
         """
         if visit != self._visit:
             self._visit, self._since = visit, now
-            self._came, self._told = {}, {}
+            self._came, self._reported = {}, {}
             for transition in self._asked_anew:
                 self._holds.pop(transition, None)
         if visit is None:
@@ -115,7 +115,7 @@ class EventWatch:
         for transition in self._interrupts.get(visit.place, ()):
             cause = self._cause(transition, self._events[transition], now)
             if cause is not None:
-                self._told[transition] = None
+                self._reported[transition] = None
                 found.append(
                     log_entries.Interrupt(
                         self._robot, visit.incarnation, visit.number, transition, cause
@@ -132,7 +132,7 @@ class EventWatch:
             self._since + after
             for t in self._interrupts.get(visit.place, ())
             for after in (self._events[t].after,)
-            if after is not None and t not in self._told
+            if after is not None and t not in self._reported
         ]
         return min(times, default=None)
 
@@ -142,7 +142,7 @@ class EventWatch:
         """The cause of an event that is due; None if it is not."""
         if transition in self._came:
             return self._came[transition]
-        if transition in self._told:
+        if transition in self._reported:
             return None
         if source.after is not None:
             return {"after": source.after} if now >= self._since + source.after else None

@@ -1,4 +1,4 @@
-"""What a recorded run says about the world that it met, so that another plan can meet the same.
+"""The world of a recorded run, so that another plan can run in the same world.
 
 A plan decides where robots go. The rest is the world: how long each action takes, how it ends, what
 it writes, when tasks and orders arrive, which robots are lost, when events occur. This module reads
@@ -58,7 +58,7 @@ class RecordedAction(NamedTuple):
 
 
 class RecordedRun(NamedTuple):
-    """What a run says about the world.
+    """The world that a run recorded.
 
     :ivar name: its name.
     :ivar plan: the plan that the team followed.
@@ -195,7 +195,7 @@ class _Reader:
             self._came = step.state.finished and step.state.ended.startswith("until:")
 
     def result(self, attempts: Optional[Sequence[Attempt]]) -> RecordedRun:
-        """What was read; ``attempts`` are those of all robots, if this log does not tell them."""
+        """The world so far; ``attempts``: those of all robots, if this log lacks them."""
         now = self._follower.now if self._ended is None else self._ended
         if self._began is None or now <= self._began:
             raise LogError("contains no run: no time passes in it", file=self._file.path)
@@ -284,14 +284,14 @@ class _Reader:
                 self._visits[entry.robot] = (*known[:2], now)
                 key = entry.robot, entry.transition
                 if key in self._exposed:
-                    told = self._exposed.pop(key), dict(entry.cause)
-                    self._events.setdefault(key, []).append(told)
+                    reported = self._exposed.pop(key), dict(entry.cause)
+                    self._events.setdefault(key, []).append(reported)
         elif isinstance(entry, log_entries.Fire) and self._is_simulated(entry.transition):
             t = self._plan.net.transition_index[entry.transition]
             self._fired.setdefault(entry.transition, []).append(self._unfired[t])
             self._unfired[t] = 0.0
         elif isinstance(entry, log_entries.Fire) and entry.transition in self._plan.clock:
-            pass  # the clock goes by itself
+            pass  # the clock runs without an order
         elif isinstance(entry, _LEFT_OUT):
             self._left_out += 1
         elif isinstance(entry, _AT_THEIR_TIME) and not (

@@ -2,7 +2,7 @@
 
 Every robot's next attempt in a place lasts and ends as its next recorded one there; tasks, orders
 and losses come at their times; events and firings of the environment come when they could have
-occurred for as long as in the recorded run. What the record does not tell is drawn from the plan:
+occurred for as long as in the recorded run. What the record does not show is drawn from the plan:
 attempts beyond the recorded ones, the rest of an attempt that was cut off, and places with another
 action.
 """
@@ -255,7 +255,7 @@ class HistoryRun(VirtualRun):
             incarnation = 0 if known is None else known.incarnation + 1
             place = self._names.new(entry.place)
             if known is None and place not in self.plan.action_places:
-                self._refuse("a robot joins in %s, which is no action place" % place)
+                self._refuse("a robot joins in %s, which is not an action place" % place)
                 return
             self.order(entry._replace(incarnation=incarnation, place=place))
         elif isinstance(entry, log_entries.Evict):
@@ -289,7 +289,7 @@ class HistoryRun(VirtualRun):
     def _refuse(self, what: str) -> None:
         self._refused[what] = self._refused.get(what, 0) + 1
 
-    def _tell(
+    def _show(
         self, entries: Sequence[log_entries.Entry], step: Step, before: Tuple[int, ...]
     ) -> None:
         if step.firings:
@@ -335,8 +335,8 @@ class _RecordedEnvironment(Environment):
         super().__init__(run.game, random.Random(run.plan.seed))
         self._transitions = [t for t in self._transitions if t not in run.game.submissions]
         net = run.plan.net
-        told = {names.new(name): iter(exposures) for name, exposures in recorded.items()}
-        self._told = {t: told.get(net.transitions[t].name, iter(())) for t in self._transitions}
+        shown = {names.new(name): iter(exposures) for name, exposures in recorded.items()}
+        self._shown = {t: shown.get(net.transitions[t].name, iter(())) for t in self._transitions}
         self._left = {t: self._next(t) for t in self._transitions}
         self._busy: Dict[int, int] = {}
         self._since = 0.0
@@ -345,7 +345,7 @@ class _RecordedEnvironment(Environment):
     def _next(self, t: int) -> float:
         rate = self._game.net.transitions[t].number
         drawn = self._source.expovariate(rate) if rate > 0 else math.inf
-        return next(self._told[t], drawn)
+        return next(self._shown[t], drawn)
 
     def _advance(self, now: float) -> None:
         for t, busy in self._busy.items():

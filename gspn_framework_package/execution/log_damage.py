@@ -1,4 +1,4 @@
-"""What a loss of power, or a fault of the disk, leaves of a log: found, cut off, or set aside."""
+"""Damage to a log by a power loss or disk fault: found, cut off, or set aside."""
 
 from __future__ import annotations
 

@@ -52,8 +52,8 @@ class Start(NamedTuple):
     """The run begins with this team: ``roster`` holds (robot, place, incarnation); ``witnesses``
     vote but have no token. ``plan`` is the hash of the plan.
 
-    ``draws_ties``: chance decides between robots that could move alike. In runs that began under
-    version 4 of the protocol the first to finish goes first, for as long as they last.
+    ``draws_ties``: chance decides between robots that could make the same move. In runs that began
+    under version 4 of the protocol the first to finish goes first, for as long as they last.
     """
 
     roster: Tuple[Tuple[str, str, int], ...]
@@ -160,7 +160,7 @@ class CancelTask(NamedTuple):
 
 class GiveBack(NamedTuple):
     """The robot that carries the task with this ``id`` gives it back to its queue, as ``on_evict``
-    says for its place, and goes on as if the task was cancelled."""
+    says for its place, and continues as if the task was cancelled."""
 
     id: str
     by: Giver = NOBODY
@@ -221,7 +221,7 @@ class SetPlace(NamedTuple):
 
 class Pause(NamedTuple):
     """Until ``Resume``, the robot joins no firing; if ``robot`` is "" (the team), nothing fires.
-    Running actions go on. With ``stop`` they are cancelled, and none starts; those that are not
+    Running actions continue. With ``stop`` they are cancelled, and none starts; those that are not
     done start again on ``Resume``."""
 
     robot: str = ""

@@ -17,7 +17,7 @@ from gspn_framework_package.model.errors import LogError
 from gspn_framework_package.model.plan import Plan
 
 _NAMES_A_PLAN = b'"adopt'
-"""What every line holds with which a team adopts a plan, or is found to have adopted one."""
+"""Text in every line by which a team adopts a plan, or reports that it has adopted one."""
 
 
 class _Begin(NamedTuple):
@@ -58,7 +58,7 @@ class LogPart:
 
     @property
     def name(self) -> str:
-        """What people call it: the path, and, of a part, the plan."""
+        """The name for people: the path and, for a part, the plan."""
         return self.path if not self.several else "%s, plan %d" % (self.path, self.stage + 1)
 
     @property
@@ -159,7 +159,7 @@ class _Splitter:
             )
 
     def _known(self, record: Record) -> Iterator[Dict[str, Any]]:
-        """The records that tell of the robot's node, with the time of ``record``."""
+        """The records about the robot's node, with the time of ``record``."""
         clocks = {clock: record.get(clock) for clock in ("wall", "mono")}
         if self._life is not None:
             yield {**self._life, **clocks}

@@ -26,7 +26,7 @@ from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.model.errors import LogError
 
 _HOLDS_PLAN = '"plan":{'
-"""What is in the text of a record that holds a plan."""
+"""Text in every record that holds a plan."""
 
 
 class EventLogWriter:

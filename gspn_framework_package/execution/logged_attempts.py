@@ -37,7 +37,7 @@ _BETWEEN = 2_000
 
 
 class Gathered(NamedTuple):
-    """What several logs say together.
+    """The attempts of several logs, merged.
 
     :ivar plan: the plan of the first log.
     :ivar attempts: every attempt once, run by run and robot by robot in the order of time.

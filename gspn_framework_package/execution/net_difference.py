@@ -19,7 +19,7 @@ def net_difference(plan: Plan, other: Plan) -> str:
                 return "it has no %s '%s'" % (what, name)
         for name in two:
             if name not in one:
-                return "only it has a %s '%s'" % (what, name)
+                return "it has an additional %s '%s'" % (what, name)
         for name in one:
             if one[name] != two[name]:
                 return "the %s '%s' is %s there, and %s here" % (what, name, two[name], one[name])

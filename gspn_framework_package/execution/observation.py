@@ -215,6 +215,6 @@ _UNFORESEEN = {
     log_entries.SetPlace: "was moved to another place",
     log_entries.Pause: "was paused",
     log_entries.Retry: "was ordered to try again",
-    log_entries.CancelTask: "was told to cancel a task",
-    log_entries.GiveBack: "was told to give a task back",
+    log_entries.CancelTask: "was ordered to cancel a task",
+    log_entries.GiveBack: "was ordered to give a task back",
 }

@@ -12,7 +12,7 @@ from gspn_framework_package.execution.token_game import TokenGame
 from gspn_framework_package.model.errors import LogError, NetError
 
 RECORD_FAULTS = (KeyError, TypeError, ValueError, AttributeError, IndexError, NetError)
-"""What the use of a record raises that is damaged, or of another plan."""
+"""Errors raised when a record is damaged or belongs to another plan."""
 
 
 def unusable(fault: Exception) -> LogError:

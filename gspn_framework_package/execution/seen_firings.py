@@ -10,7 +10,7 @@ from gspn_framework_package.model.plan import Plan
 
 
 class SeenFiring(NamedTuple):
-    """A firing that somebody heard of, for example in a recording: when (s), the name of the run,
+    """A firing that was observed, for example in a recording: when (s), the name of the run,
     the transition, the robot that asked for it ("" if none did), and the new
     place of each robot that it moved. ``key`` identifies it in the run."""
 

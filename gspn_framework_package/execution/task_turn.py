@@ -1,5 +1,5 @@
-"""What entries of the log do with tasks: they come in, return to their queues, are cancelled and
-are put before others."""
+"""The effects of log entries on tasks: tasks are submitted, returned to their queues, cancelled
+and put before others."""
 
 from __future__ import annotations
 

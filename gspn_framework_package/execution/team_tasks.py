@@ -92,7 +92,7 @@ ENDED_TASKS = 100
 
 
 def rank(task: Task, order: str) -> Tuple[float, ...]:
-    """What decides the place of a task in a queue: those with a lower rank come first.
+    """The rank of a task in a queue: lower ranks are first.
 
     :param order: one of :data:`~gspn_framework_package.model.event.QUEUE_ORDERS`.
     """

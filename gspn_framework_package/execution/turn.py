@@ -388,7 +388,7 @@ class Turn:
         return [queue[i] for i in order[:weight]]
 
     def _end_task(self, task: Task, outcome: str, why: str, robot: str = "") -> None:
-        """Note, and tell, that a task has ended; a token without a task is none."""
+        """Record and report that a task has ended; does nothing for a token without a task."""
         if task.id:
             self.state.end_task(task, outcome, why)
             ended = TaskEnded(task.id, outcome, why, robot, task.data, task.since, task.attempts)

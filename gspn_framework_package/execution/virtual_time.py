@@ -280,13 +280,13 @@ class VirtualRun:
         if self.now >= self._counted_from:
             for firing in step.firings:
                 self._firings[self.plan.net.transition_index[firing.transition]] += 1
-        self._tell(entries, step, before)
+        self._report(entries, step, before)
         for command in step.commands:
             self._carry_out(command)
         if self.plan.events:
             self._follow_visits(self._begun_visits(entries, step))
 
-    def _tell(
+    def _report(
         self, entries: Sequence[log_entries.Entry], step: Step, before: Tuple[int, ...]
     ) -> None:
         """Hook for subclasses, called after a step; ``before`` is the previous marking."""

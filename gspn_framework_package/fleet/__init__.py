@@ -2,6 +2,6 @@
 
 ``stay_follower`` reduces the records of a run to rows, ``ingest`` reads logs and passes them to it,
 ``store`` stores the rows as Parquet files, and ``reports`` queries them through DuckDB
-(``database``). ``run_story`` tells the story of one run from its log, and ``story_page`` makes one
-HTML file of it.
+(``database``). ``run_story`` derives the story of one run from its log, and ``story_page`` makes
+one HTML file of it.
 """

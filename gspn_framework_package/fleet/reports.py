@@ -100,10 +100,10 @@ def history_report(store: Store, question: Question) -> List[Dict[str, Any]]:
     names = [*question.by, "visits", *_SECONDS, *_COUNTS]
     found = []
     for row in rows:
-        told = {name: plain_cell(value) for name, value in zip(names, row)}
-        time = sum(told[name] for name in _SECONDS)
-        told["use"] = told["acting_s"] / time if time > 0 else None
-        found.append(told)
+        reported = {name: plain_cell(value) for name, value in zip(names, row)}
+        time = sum(reported[name] for name in _SECONDS)
+        reported["use"] = reported["acting_s"] / time if time > 0 else None
+        found.append(reported)
     return found
 
 

@@ -84,7 +84,7 @@ class Waited(NamedTuple):
 
 
 class RunStory(NamedTuple):
-    """The story of a run, as a log tells it. Times are in seconds since the log began.
+    """The story of a run, according to a log. Times are in seconds since the log began.
 
     :ivar run: the name of the run; ``plan`` that of its plan, ``recorder`` the robot whose log it
         is ("" for a standalone run).
@@ -317,7 +317,7 @@ class _StoryFollower(StayFollower):
         return behind[-1] if behind else others[-1] if others else step.entries[-1]
 
     def _deed(self, entry: Optional[log_entries.Entry], awaited: str) -> str:
-        """What an entry says that happened, as the end of "until ..."; "" if it says little."""
+        """The entry as the end of "until ..."; "" if it says too little."""
         robot = getattr(entry, "robot", "")
         who = "it" if robot and robot == awaited else robot or "the team"
         if isinstance(entry, log_entries.Done):
@@ -338,7 +338,7 @@ class _StoryFollower(StayFollower):
         return _DEEDS[type(entry)] % who if type(entry) in _DEEDS else ""
 
     def _delays(self, robot: str, wait: Spell) -> Iterator[str]:
-        """What kept a robot during another's wait: failures, pauses and waits of its own."""
+        """What delayed a robot while another waited for it: failures, pauses, waits."""
         failures = []
         for moment in reversed(self.moments):
             if moment.at <= wait.begin:

@@ -199,7 +199,7 @@ class StayFollower:
         """A robot spends its time otherwise from this slot on: with ``use`` of :data:`USES`."""
 
     def spent(self, spell: Spell) -> None:
-        """A robot has spent its time alike; called before :meth:`followed` of the same slot."""
+        """Add a robot's time; called before :meth:`followed` of the same slot."""
 
     def followed(self, step: Replayed) -> None:
         """All of a slot has been looked at."""
@@ -263,7 +263,7 @@ class StayFollower:
                 everybody = True
             else:
                 touched.add(command.robot)
-            if isinstance(command, Fault) and command.failed:  # before the robot goes on
+            if isinstance(command, Fault) and command.failed:  # before the robot continues
                 self._moment(step.slot, command.robot, ACTION_FAILURE, command.failed)
         for entry in step.entries:
             touched.add(getattr(entry, "robot", ""))
@@ -373,7 +373,7 @@ class StayFollower:
 
 
 def _use(phase: Phase) -> int:
-    told = phase.report
+    reported = phase.report
     if phase is Phase.PAUSED:
         return 2
-    return 0 if told.acts else 1 if told.waits else 3 if told.failed else 4
+    return 0 if reported.acts else 1 if reported.waits else 3 if reported.failed else 4

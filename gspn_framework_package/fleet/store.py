@@ -69,7 +69,7 @@ _MANIFEST: Dict[str, Tuple[type, ...]] = {
     "ingests": (int,),
     "files": (dict,),
 }
-"""What every one has, and of which kinds."""
+"""The columns of every table, with their types."""
 
 
 class Store:
@@ -97,13 +97,13 @@ class Store:
                 hint="create one in a new or empty folder with 'gspn history ingest LOG --store "
                 "DIR'",
             )
-        told = read_json(first)
-        if not isinstance(told, dict) or told.get("format") != STORE_FORMAT:
+        reported = read_json(first)
+        if not isinstance(reported, dict) or reported.get("format") != STORE_FORMAT:
             raise InputError("does not describe a store of a fleet's history", file=first)
-        if told.get("version") != STORE_VERSION:
+        if reported.get("version") != STORE_VERSION:
             raise InputError(
                 "has version %s; this program reads version %d"
-                % (told.get("version"), STORE_VERSION),
+                % (reported.get("version"), STORE_VERSION),
                 file=folder,
             )
 

@@ -126,7 +126,7 @@ def _time_line(story: RunStory) -> Iterator[str]:
         for spell, first, last in _drawn(story.spells[robot], story.seconds):
             yield "<rect class=%s x=%d y=%d width=%d height=%d><title>%s</title></rect>" % (
                 *(spell.use, _NAMES + first, y + 3, last - first, _LANE - 6),
-                escape(_told(spell)),
+                escape(_reported(spell)),
             )
     for i in range(6):
         anchor = "start" if i < 5 else "end"
@@ -138,7 +138,7 @@ def _time_line(story: RunStory) -> Iterator[str]:
     yield "</svg><figcaption>%s</figcaption></figure>" % keys
 
 
-def _told(spell: Spell) -> str:
+def _reported(spell: Spell) -> str:
     times = time_text(spell.begin), time_text(spell.end), length_text(spell.end - spell.begin)
     return "%s, %s in %s: %s to %s (%s)" % (spell.robot, spell.use, spell.place, *times)
 
@@ -209,7 +209,7 @@ def _waits(story: RunStory, link: str) -> Iterator[str]:
     for wait in story.waits:
         places[wait.place] = places.get(wait.place, 0.0) + wait.seconds
     most = sorted(places.items(), key=lambda item: -item[1])[:5]
-    yield "<p>Most was waited in %s.</p>" % escape(
+    yield "<p>The longest waits were in %s.</p>" % escape(
         ", ".join("%s (%s)" % (place, length_text(seconds)) for place, seconds in most)
     )
 

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from lxml import etree
 
 MOST_COLOURS = 500_000
-"""Most colours of a sort whose colours are all named."""
+"""Maximum number of colours of a sort whose colours are all named."""
 
 Colour = Any
 """A number (of a constant in its enumeration, or of a range), or a tuple of colours."""
@@ -58,7 +58,7 @@ class Basic(NamedTuple):
     """A sort whose colours have a number each: dots, an enumeration, or a range of integers.
 
     :ivar kind: the element that declares it.
-    :ivar names: what its colours are called.
+    :ivar names: the names of its colours.
     :ivar first: the number of the first one.
     """
 
@@ -80,7 +80,7 @@ class Basic(NamedTuple):
         return 0 <= colour - self.first < len(self.names)
 
     def text(self, colour: Colour) -> str:
-        """What is put after the name of a place; "" for a dot."""
+        """The suffix of a place's name; "" for a dot."""
         return "" if self.kind == "dot" else "." + self.names[colour - self.first]
 
 
@@ -106,7 +106,7 @@ class Product(NamedTuple):
         return all(part.has(c) for part, c in zip(self.parts, colour))
 
     def text(self, colour: Colour) -> str:
-        """What is put after the name of a place."""
+        """The suffix of a place's name."""
         return "".join(part.text(c) for part, c in zip(self.parts, colour))
 
 
@@ -394,7 +394,7 @@ class ColourTerms:
 
 
 _JOINED = {"and": 0, "or": 0, "not": 1, "imply": 2}
-"""What joins guards -> the number of subterms; 0: any."""
+"""Operators that join guards -> the number of subterms; 0: any."""
 
 _COMPARED: Mapping[str, Callable[[Colour, Colour], Any]] = {
     "equality": operator.eq,
@@ -407,7 +407,7 @@ _COMPARED: Mapping[str, Callable[[Colour, Colour], Any]] = {
 
 
 def _agree(first: Sort, second: Sort) -> bool:
-    """Whether two sorts are the same, but for the bounds of ranges."""
+    """Whether two sorts are the same except for the bounds of ranges."""
     if isinstance(first, Product) and isinstance(second, Product):
         return len(first.parts) == len(second.parts) and all(map(_agree, first.parts, second.parts))
     if isinstance(first, Basic) and isinstance(second, Basic):

@@ -42,13 +42,13 @@ if TYPE_CHECKING:
     from lxml import etree
 
 MOST_NODES = 500_000
-"""Most places and transitions of an unfolded net."""
+"""Maximum number of places and transitions of an unfolded net."""
 
 MOST_ARCS = 3_000_000
-"""Most arcs of an unfolded net."""
+"""Maximum number of arcs of an unfolded net."""
 
 _MOST_TRIED = 2_000_000
-"""Most bindings that are tried to count those that the guards allow."""
+"""Maximum number of bindings that are tried to count those that the guards allow."""
 
 
 class _ColouredPlace(NamedTuple):
@@ -244,7 +244,7 @@ class Colours:
     def arcs(self) -> Iterator[UnfoldedArc]:
         """The arcs of the unfolded net.
 
-        :raises GspnError: an arc takes away or puts in what is no colour of its place.
+        :raises GspnError: an arc takes or adds a colour that its place does not have.
         """
         for identifier, transition in self._transitions.items():
             names = self._used(transition)

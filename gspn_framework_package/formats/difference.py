@@ -155,7 +155,7 @@ def _elements(
 
 
 _Key = Tuple[Any, ...]
-"""What identifies an element: its name, and what tells it from others of that name."""
+"""What identifies an element: its name, and what distinguishes it from others of that name."""
 
 _Pair = Tuple[str, Any, Any]
 """A key of an element, with its old and its new value."""
@@ -294,7 +294,7 @@ def _rows(policy: Mapping[str, Any]) -> Dict[_Key, Mapping[str, Any]]:
             continue
         cells = row.get("marking")
         counts = [str(c).strip() for c in (cells if isinstance(cells, list) else ())]
-        told = sorted((p, c) for p, c in zip(names, counts) if c != "-")
-        matches = ", ".join("%s: %s" % item for item in told) or "any marking"
+        reported = sorted((p, c) for p, c in zip(names, counts) if c != "-")
+        matches = ", ".join("%s: %s" % item for item in reported) or "any marking"
         _put(found, (matches,), {"row": number, **row})
     return found

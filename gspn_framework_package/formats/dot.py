@@ -239,8 +239,8 @@ def _unfolded(positions: Mapping[str, Point], subnets: Mapping[str, Subnet]) -> 
 
 
 def _box(spots: Sequence[Point], levels: int) -> Dict[str, Attribute]:
-    """The box around nodes that are drawn there, and around so many levels of boxes, with its
-    label at the top; of no nodes, nowhere."""
+    """The box around nodes that are drawn there, and around ``levels`` nested boxes, with its
+    label at the top; empty without nodes."""
     if not spots:
         return {}
     (left, right), (top, bottom) = ((min(v), max(v)) for v in zip(*spots))

@@ -35,8 +35,8 @@ def to_bytes(net: Net, bounds: Mapping[str, int] = {}) -> bytes:
 
 
 def _text(value: Any, levels: int, indent: str = "\n") -> str:
-    """The JSON of a value, with lines for so many levels of nesting. An edge is one line: the file
-    of a net whose conditions are long would be spaces for the most part."""
+    """The JSON of a value, with separate lines down to this level of nesting. An edge is one line:
+    the file of a net with long conditions would otherwise be mostly spaces."""
     if not levels or not value or not isinstance(value, (dict, list)):
         return json.dumps(value, ensure_ascii=False)
     inside = indent + " "

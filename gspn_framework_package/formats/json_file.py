@@ -61,7 +61,7 @@ class JsonDocument(NamedTuple):
 
 def json_text(data: Any) -> str:
     """The text of a JSON file as people write one: see :func:`json_layout`; the members of the
-    whole have lines of their own, however few they are."""
+    whole are on separate lines, however few they are."""
     return (_lines(data, "", "  ", "\n") if data and is_container(data) else _ENCODE(data)) + "\n"
 
 

@@ -176,7 +176,7 @@ class _Reader:
         self._finish()
 
     def _finish(self) -> None:
-        """Read what needs all nodes."""
+        """Read the parts that refer to nodes, once all nodes are known."""
         for arc in self.arcs:
             self._arc(arc)
 
@@ -213,7 +213,7 @@ class _Reader:
                 )
 
     def _readers(self) -> Dict[str, Callable[[etree._Element], None]]:
-        """What reads the elements of a page, by their tags."""
+        """The readers of a page's elements, by tag."""
         return {
             "page": self._page,
             "place": self._place,
@@ -283,7 +283,7 @@ class _Reader:
             )
 
     def _contents(self, element: etree._Element, tokens: int) -> Iterable[Tuple[str, int]]:
-        """What is put after the name of a place, and the tokens, of each place that it becomes."""
+        """For each place that a coloured place becomes: the suffix of its name, and its tokens."""
         return (("", tokens),)
 
     def _transition(self, element: etree._Element) -> None:
@@ -346,7 +346,7 @@ class _Reader:
         return copies
 
     def _copies(self, identifier: Optional[str]) -> Iterable[str]:
-        """What is put after the name of a transition, for each that it becomes."""
+        """The suffixes of the names of the transitions that a coloured transition becomes."""
         return ("",)
 
     def _is_immediate_by_delay(self, delay: etree._Element, what: str) -> bool:

@@ -1,8 +1,8 @@
 """Loads the behaviour tree of py_trees or the state machine of SMACH that a Python file makes.
 
-This runs the file, so it happens only in processes whose operator has said so: in the reader, which
-writes what it finds as JSON (``python3 -m gspn_framework_package.formats.python_root FILE NAME
-ticks|"" OUT``), and in the actions of a plan that was made of it.
+This runs the file, so it happens only in processes whose operator has allowed it: in the reader,
+which writes what it finds as JSON (``python3 -m gspn_framework_package.formats.python_root FILE
+NAME ticks|"" OUT``), and in the actions of a plan that was made of it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _Line = Tuple[str, int]
 
 
 class RootError(Exception):
-    """There is no tree or machine where it was looked for.
+    """The file has no tree or machine of the given name.
 
     :param where: the file and line of the fault, if it has one.
     """

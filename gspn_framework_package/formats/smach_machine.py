@@ -51,7 +51,7 @@ def why_one_action(state: Any) -> str:
 
 
 def iterates(state: Any) -> bool:
-    """Whether a container is an Iterator, which is no state machine."""
+    """Whether a container is an Iterator, which is not a state machine."""
     return not hasattr(state, "_transitions")
 
 
@@ -116,7 +116,7 @@ def _needs_userdata(arguments: Mapping[str, Any]) -> bool:
 
 
 def _fields(message: Any) -> Any:
-    """What differs in a message from a new one, as a plan writes it; its times are ``now``."""
+    """The fields of a message that differ from a new one, as in a plan; times are ``now``."""
     if isinstance(message, bytes):
         return list(message)
     if isinstance(message, (list, tuple)):
@@ -164,7 +164,7 @@ def recording(make: Callable[..., None], always: bool) -> Callable[..., None]:
 
 
 class MachineRun:
-    """A machine whose states are run one by one; their userdata goes the way that SMACH sends it.
+    """A machine whose states are run one by one; SMACH decides how their userdata is passed on.
 
     :param root: the machine.
     """
@@ -178,7 +178,7 @@ class MachineRun:
     def execute(self, path: StatePath, on_cancel: Callable[[Callable[[], None]], None]) -> str:
         """Run a state, and return its outcome.
 
-        :param on_cancel: is told what to call if the state should end early.
+        :param on_cancel: receives the function to call if the state should end early.
         """
         if path != self._next:
             self._catch_up(path)
@@ -196,7 +196,7 @@ class MachineRun:
         return state
 
     def _userdata(self, path: StatePath) -> Any:
-        """What a state gets as its userdata."""
+        """The userdata of a state."""
         smach = importlib.import_module("smach")
         if not path:
             return smach.UserData()

@@ -66,7 +66,7 @@ def read_bytes(path: str, limit: int = MAX_BYTES) -> bytes:
 def read_text(path: str, limit: int = MAX_BYTES) -> str:
     """Return the text of a file in UTF-8.
 
-    :raises InputError: as :func:`read_bytes`, or it is no such text.
+    :raises InputError: as :func:`read_bytes`, or it is not UTF-8 text.
     """
     try:
         return read_bytes(path, limit).decode("utf-8")

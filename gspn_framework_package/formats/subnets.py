@@ -83,8 +83,8 @@ def fill_parameters(data: Dict[str, Any], given: Optional[Mapping[str, Any]]) ->
     single parameter becomes its value, of any type.
 
     :param data: the object, not yet checked.
-    :param given: the values from the plan that uses this one as a subnet; None if it is read by
-        itself: then its own ``parameters`` are the values, and nothing is replaced if there are
+    :param given: the values from the plan that uses this one as a subnet; None if it is read
+        alone: then its own ``parameters`` are the values, and nothing is replaced if there are
         none.
     :raises PlanError: a parameter has no value, or one is given that does not exist.
     """

@@ -105,7 +105,7 @@ class TreeSteps:
         node.tick = noted
 
     def leaf_tick(self, leaf: Any) -> Any:
-        """What ticks a leaf."""
+        """The function that ticks a leaf."""
         return leaf.tick
 
     def begins_tick(self) -> None:
@@ -169,7 +169,7 @@ def class_name(node: Any) -> str:
 
 
 class _Imagined(TreeSteps):
-    """A tree whose leaves have the outcomes that they are told to have."""
+    """A tree whose leaves end with given outcomes."""
 
     def __init__(self, root: Any) -> None:
         self.wanted: Any = None  # the outcome of the next leaf
@@ -206,8 +206,8 @@ class _Imagined(TreeSteps):
         self.begin_again()
 
     def key(self) -> Any:
-        """What decides what the tree does from here: the rest of its state is set before it is read
-        again."""
+        """The part of the tree's state that decides what it does next: the rest is set before it
+        is read again."""
         assert self.due is not None
         found: List[Any] = [self.due]
         live = {

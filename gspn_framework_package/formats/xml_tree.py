@@ -181,7 +181,7 @@ def position_in(graphics: etree._Element) -> Optional[Point]:
 
 
 def points(elements: Iterable[etree._Element]) -> Tuple[Point, ...]:
-    """Return the positions that elements have in ``x`` and ``y``, without those that are none."""
+    """Return the positions that elements have in ``x`` and ``y``; invalid ones are left out."""
     return tuple(filter(None, map(coordinates, elements)))
 
 

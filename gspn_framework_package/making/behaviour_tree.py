@@ -39,7 +39,7 @@ SUCCESS_PLACE, FAILURE_PLACE = "SUCCESS", "FAILURE"
 """The places in which a robot ends."""
 
 ON_SUCCESS, ON_FAILURE = " succeeds", " fails"
-"""What is appended to the name of a leaf's place for the names of its transitions."""
+"""The suffixes that turn the name of a leaf's place into those of its transitions."""
 
 _DEEPEST = 200
 """Maximum depth of a tree; subtrees that contain themselves have none."""
@@ -418,9 +418,9 @@ def %s(is_cancelled, **ports):
 
 
 def _actions_text(functions: Mapping[str, str]) -> str:
-    told = ((name, re.sub(r"[\W_]+", " ", node)) for node, name in functions.items())
+    reported = ((name, re.sub(r"[\W_]+", " ", node)) for node, name in functions.items())
     return _ACTIONS % {
-        "functions": "\n".join(_FUNCTION % each for each in told),
+        "functions": "\n".join(_FUNCTION % each for each in reported),
         "table": "\n".join("    %s: %s," % (json.dumps(n), f) for n, f in functions.items()),
         "succeeds": ON_SUCCESS,
         "fails": ON_FAILURE,

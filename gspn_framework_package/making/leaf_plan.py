@@ -51,8 +51,8 @@ class Target:
 class Leaf:
     """A leaf: ``here`` leads to its place, whose name is ``wanted``, perhaps with a number.
 
-    ``outcomes`` says where it leads, by what is appended to the name of the place for the name of
-    the transition. ``failure`` is the one of them that fires if the action fails, if there is one.
+    ``outcomes``: suffix that turns the place's name into the transition's -> where the transition
+    leads. ``failure`` is the one of them that fires if the action fails, if there is one.
     """
 
     here: Target

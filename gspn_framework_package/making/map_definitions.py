@@ -1,4 +1,4 @@
-"""What a map of topological_navigation for ROS 2 says once for all of its edges."""
+"""The definitions of a topological_navigation map for ROS 2 that all of its edges share."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Makes a plan of a Python file that builds a behaviour tree of py_trees or a machine of SMACH.
 
-Trees and machines are built by functions, loops and classes, so only running the file tells what
+Trees and machines are built by functions, loops and classes, so only running the file shows what
 they are. Another process does that, and only if the operator has allowed it.
 """
 
@@ -85,7 +85,7 @@ def plan_of_found(path: str, found: Mapping[str, Any], robots: int) -> ImportedP
 
 
 def _read(path: str, name: str, ticks: bool) -> Dict[str, Any]:
-    """What the file makes, found by another process."""
+    """The tree or machine that the file makes, read by another process."""
     package = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
     paths = (package, os.environ.get("PYTHONPATH"))  # the same package that this process runs
     with tempfile.TemporaryDirectory() as folder:

@@ -1,7 +1,7 @@
 """Makes a plan of a behaviour tree of py_trees.
 
-The plan's actions tick the tree of the file itself, leaf by leaf. What can only be told from tick
-to tick, such as a Parallel, is one action, with all that is below it.
+The plan's actions tick the tree of the file itself, leaf by leaf. What only the ticks decide, such
+as a Parallel, is one action with everything below it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from gspn_framework_package.making.leaf_plan import (
 from gspn_framework_package.model.errors import InputError
 
 ON_RUNNING = " goes on"
-"""What is appended to the name of a place for a tick after which the leaf is running."""
+"""The suffix of a place's name for a tick after which the leaf is running."""
 
 _ENDINGS = {"SUCCESS": ON_SUCCESS, "FAILURE": ON_FAILURE, "RUNNING": ON_RUNNING}
 

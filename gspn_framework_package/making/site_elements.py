@@ -83,8 +83,8 @@ class MapGroup(NamedTuple):
 
 
 class DoorAction(NamedTuple):
-    """What a robot does to open or close a door: its mean ``seconds``, and its ``action`` on ROS
-    (as in a plan file), if any."""
+    """A robot's action at a door, to open or close it: its mean ``seconds``, and its ``action`` on
+    ROS (as in a plan file), if any."""
 
     seconds: float
     action: Any = None
@@ -126,7 +126,7 @@ class SiteMap(NamedTuple):
         return str(name)
 
     def edge(self, name: Any) -> Tuple[str, str]:
-        """Return the edge that is called ``A_B``, or ``A -> B`` where that is several.
+        """Return the edge named ``A_B``, or ``A -> B`` if several edges have that name.
 
         :raises InputError: the map has none, or several; without a file.
         """

@@ -1,5 +1,5 @@
-"""Tells apart what the elements of a plan are called after: with nodes ``a``, ``a_b``, ``b_c`` and
-``c``, ``Drive_a_b_c`` could be two edges."""
+"""Distinguishes the names that elements of a plan are derived from: with nodes ``a``, ``a_b``,
+``b_c`` and ``c``, ``Drive_a_b_c`` could be two edges."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def _unclear(site: SiteMap, tasks: SiteTasks) -> List[str]:
 
 
 def _elements(site: SiteMap, tasks: SiteTasks) -> Iterator[Sequence[str]]:
-    """The parts of the names of places; transitions are called alike."""
+    """The parts of the names of places; transitions are named in the same way."""
     types = tasks.types if len(tasks.types) > 1 else [""]
     kinds = [named(robot, level) for robot in types for level in tasks.battery or [""]]
     at = [(task, node) for task, given in tasks.tasks.items() for node in given.at]

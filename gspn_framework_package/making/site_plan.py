@@ -37,7 +37,7 @@ PLAN_ROS_FILE = "plan_ros.json"
 """File name of the same plan with the actions of the map and the tasks, for robots on ROS."""
 
 _DONE = {"Open": "Opened", "Close": "Closed"}
-"""What a robot does with a door -> the transition with which it has done it."""
+"""A robot's action at a door -> the transition that ends it."""
 
 _UNLIMITED = " Nodes hold any number of robots (node_capacity limits it)."
 

@@ -31,12 +31,12 @@ class WaitingCircle(NamedTuple):
     robots: int
 
     def group(self, capacity: int) -> MapGroup:
-        """The group of these nodes that holds so many robots."""
+        """The group of these nodes, with its capacity."""
         return MapGroup(self.nodes, (), capacity)
 
 
 class _Part(NamedTuple):
-    """Nodes and edges that hold so many robots in all."""
+    """Nodes and edges that together hold a limited number of robots."""
 
     nodes: FrozenSet[str]
     edges: FrozenSet[Tuple[str, str]]
@@ -87,7 +87,7 @@ def _circle(parts: Sequence[_Part], robots: int) -> WaitingCircle:
 
 
 def _largest(parts: Iterable[_Part]) -> List[_Part]:
-    """The parts but for those inside another one that has room for a single robot."""
+    """The parts except those inside another one that has room for a single robot."""
     found: List[_Part] = []
     for part in sorted(parts, key=lambda part: (part.capacity, -len(part.nodes))):
         if not any(

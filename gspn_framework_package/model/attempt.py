@@ -1,4 +1,4 @@
-"""What the logs of runs say about the actions and events of a plan."""
+"""The actions and events of a plan in the logs of its runs."""
 
 from __future__ import annotations
 

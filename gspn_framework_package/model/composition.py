@@ -109,8 +109,8 @@ def _inner_arc(arc: Arc, names: Mapping[str, str], shift: Optional[Point]) -> Ar
 
 
 def _joined(net: Net, place: str, entry: str, exit: str, occupied: List[str]) -> List[Arc]:
-    """The arcs of a net, those of a place now at the entry, the exit and the occupied places of
-    what replaces it."""
+    """The arcs of a net; those of the replaced place now join the entry, the exit and the occupied
+    places of its subnet."""
     arcs: List[Arc] = []
     for arc in net.arcs:
         if arc.inhibitor and arc.source == place:

@@ -466,7 +466,7 @@ _VECTOR: Dict[str, Callable[..., Any]] = {}
 
 
 def vector_functions() -> Functions:
-    """What the steps of a program do with the arrays of many markings."""
+    """The operations of a program on arrays of many markings."""
     if not _VECTOR:
         import functools
 

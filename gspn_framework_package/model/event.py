@@ -51,7 +51,7 @@ class EventSource(NamedTuple):
     emits its events itself), time: ``after`` seconds in the place, or what another package has
     added (``kind``, with ``settings``). With both a topic and a
     function, the topic is used on ROS and the function without it. A transition of the environment
-    needs no source of its own: ``gspn submit`` fires it in any case. But one with hours of the day
+    needs no source: ``gspn submit`` fires it in any case. But one with hours of the day
     (UTC), ``from_hour`` to ``to_hour``, lets no tasks in: it fires when it is enabled in them.
 
     ``when`` is a condition on the message (see :mod:`.message_condition`): the event holds while it
@@ -85,7 +85,7 @@ class EventSource(NamedTuple):
     to_hour: Optional[float] = None
 
     def seconds_to_hours(self, seconds: float) -> float:
-        """How long after a time its hours come (s); 0: that time is in them.
+        """Seconds from a time until its hours begin; 0: that time is within them.
 
         :param seconds: the time, since 1970 (s).
         """
@@ -160,8 +160,8 @@ class Tasks(NamedTuple):
     :data:`BY_PRIORITY`.
 
     ``on_cancel``: action place -> the transition for which a robot there asks when its task is
-    cancelled; None: it goes on with its action, without the task. Elsewhere its action is cancelled
-    and it waits for the operator.
+    cancelled; None: it continues with its action, without the task. Elsewhere its action is
+    cancelled and it waits for the operator.
     """
 
     queues: Tuple[str, ...] = ()

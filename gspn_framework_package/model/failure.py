@@ -1,7 +1,8 @@
 """Failure rules: what a robot does when an attempt at its action fails.
 
-Every rule is a composition of the same few steps: so many further attempts, each after its delay,
-and then an end. The run, ``gspn verify``, the analysis and the simulation know the steps alone. A
+Every rule is a composition of the same few steps: a number of further attempts, each after its
+delay, and then an end. The run, ``gspn verify``, the analysis and the simulation know the steps
+alone. A
 *kind* of rule is the way in which a plan file writes a composition: a row of :data:`FAILURE_KINDS`.
 """
 

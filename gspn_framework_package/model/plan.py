@@ -294,7 +294,7 @@ class Plan:
 
     @cached_property
     def own_actions(self) -> Dict[str, Mapping[str, Action]]:
-        """The actions of the robots that have some of their own."""
+        """The actions of the robots that have their own actions."""
         return {spec.name: spec.actions for spec in self.robots if spec.actions}
 
     @property
@@ -495,7 +495,7 @@ class Plan:
         }
 
     def _capabilities_essence(self) -> Dict[str, Any]:
-        """What robots can, which decides who takes a task; empty if the plan does not say."""
+        """The capabilities of robots, which decide who takes a task; may be empty."""
         found = {r.name: sorted(r.capabilities) for r in self.robots if r.capabilities}
         return {"capabilities": found} if found else {}
 

@@ -16,8 +16,9 @@ This is the same as the classical reading of the net, in which exponential trans
 they are enabled, wherever nothing but the robot's own token can disable them, since exponential
 times are memoryless. :attr:`PlanTiming.splits` names the places where the two differ.
 
-A run net counts alike robots in columns made of :class:`PlanRules` (``run_net/compiling``); the
-simulation, which follows each robot, and the check read them as they are.
+A run net counts interchangeable robots in columns made of :class:`PlanRules`
+(``run_net/compiling``); the simulation, which follows each robot, and the check read them as they
+are.
 """
 
 from __future__ import annotations
@@ -119,7 +120,7 @@ class PlanTiming:
 
     @property
     def differing(self) -> str:
-        """Why states that do not distinguish robots give no times; empty if robots are alike."""
+        """Why states that do not distinguish robots give no times; empty if they do."""
         team = {robot.name for robot in self._plan.robots}
         for robot, p in self._own:
             if robot in team:
@@ -272,14 +273,14 @@ class PlanTiming:
             )
         if plan.tasks.queues:
             self.assumptions.append(
-                "tasks from %s are alike: how long an action takes and what it names does not "
-                "depend on their data" % listed(plan.tasks.queues)
+                "tasks from %s are interchangeable: how long an action takes or what it names "
+                "cannot depend on their data" % listed(plan.tasks.queues)
             )
         if plan.tasks.order:
-            told = ["%s (by %s)" % item for item in plan.tasks.order.items()]
+            reported = ["%s (by %s)" % item for item in plan.tasks.order.items()]
             self.assumptions.append(
                 "tokens are counted, so the order in which tasks are taken from %s changes nothing "
-                "here; it does in runs, and in what simulate --log records" % listed(told)
+                "here; it does in runs, and in what simulate --log records" % listed(reported)
             )
 
 
@@ -447,7 +448,7 @@ def _kinds(plan: Plan) -> Tuple[List[str], List[int]]:
 
 
 def unnamed(plan: Plan, place: int) -> int:
-    """What a robot in place number ``place`` requests whose action has named no transition:
+    """The request of a robot in place number ``place`` whose action has named no transition:
     :data:`POLICY` if immediate transitions leave the place, or nothing but events; otherwise the
     only transition; :data:`NO_REQUEST` if there are several, so that its action has failed."""
     leaving = plan.of_action(place)

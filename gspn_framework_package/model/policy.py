@@ -61,7 +61,7 @@ class Policy:
 
     :param places: the places that the cells of a row refer to; other places may have any count.
     :param rows: the rows, in file order.
-    :param scopes: the subnets with policies of their own. Rows outside all scopes decide in places
+    :param scopes: the subnets with their own policies. Rows outside all scopes decide in places
         outside all scopes.
     :raises PolicyError: a row has the wrong length, a count is not a number of tokens,
         probabilities are negative or do not sum to 1, or scopes overlap.

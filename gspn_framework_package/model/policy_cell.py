@@ -27,7 +27,7 @@ class CountTest(NamedTuple):
 
 
 Cell = Union[int, CountTest, None]
-"""What a row asks of the count of a place: a number, a test of it, or nothing (None)."""
+"""The condition of a row on the count of a place: a number, a test of it, or nothing (None)."""
 
 _SIGNS: Dict[str, Callable[[int, int], bool]] = {
     "<": operator.lt,
@@ -128,7 +128,7 @@ Cells = Tuple[Tuple[int, int], ...]
 Tests = Tuple[Tuple[int, CountTest], ...]
 """Pairs (number of a cell or of a place, what it asks for)."""
 Mask = Tuple[Tuple[int, ...], Tests]
-"""What rows have in common that differ only in their exact counts: the numbers of the cells that
+"""The common part of rows that differ only in their exact counts: the numbers of the cells that
 have one, and the tests."""
 
 
@@ -256,7 +256,7 @@ _Rank = Tuple[int, int, int]
 
 class _RowTree:
     """Rows of many groups, in a tree: each node compares one place, and rows without an exact count
-    there are in a branch of their own. A look-up visits the nodes whose rows still match; rows that
+    there are in a separate branch. A look-up visits the nodes whose rows still match; rows that
     a few places distinguish are found in a few steps."""
 
     def __init__(self, columns: Sequence[int], groups: Mapping[Mask, KeyedRows]) -> None:

@@ -64,7 +64,7 @@ class ActionConnection:
         self._goal_type = type(spec.action_goal)
         self._watched = ""
         self._acknowledged_by: Optional[str] = None
-        self._told_end = False
+        self._reported_end = False
         self._incarnation = 0
         self._cancelled: Dict[str, bool] = {}
         self._abandoned: Dict[str, str] = {}
@@ -153,7 +153,7 @@ class ActionConnection:
         :param text: the ``frame_id`` of the header; see ``ros.goal_data``.
         """
         self._acknowledged_by = None
-        self._told_end = False
+        self._reported_end = False
         self._watched = goal_id
         self._incarnation = incarnation
         message = self._goal_type()
@@ -209,8 +209,8 @@ class ActionConnection:
                 if self._acknowledged_by is None:
                     self._acknowledged_by = caller
                     self._hand_on(self, GoalNews.ACKNOWLEDGED, watched, caller)
-                if status.status in ENDED and not self._told_end:
-                    self._told_end = True
+                if status.status in ENDED and not self._reported_end:
+                    self._reported_end = True
                     self._hand_on(
                         self, GoalNews.ENDED, watched, (ENDED[status.status], status.text)
                     )

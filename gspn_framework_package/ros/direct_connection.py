@@ -66,7 +66,7 @@ class DirectConnection:
         message = stamped_message(ExecGSPNActionGoal, goal=goal)
         message.header.frame_id = text
         message.goal_id.id = goal_id
-        self._server.take(message, self._told)
+        self._server.take(message, self._reported)
         self._hand_on(self, GoalNews.ACKNOWLEDGED, goal_id, rospy.get_name())
 
     def forget(self) -> None:
@@ -85,7 +85,7 @@ class DirectConnection:
         self._abandoned.discard(goal_id)
         return has
 
-    def _told(self, what: GoalNews, status: GoalStatus, message: genpy.Message) -> None:
+    def _reported(self, what: GoalNews, status: GoalStatus, message: genpy.Message) -> None:
         """Called by the server, on any thread; ``what`` is FEEDBACK or RESULT."""
         goal_id = status.goal_id.id
         if what is GoalNews.RESULT:

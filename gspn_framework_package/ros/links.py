@@ -52,8 +52,8 @@ _SERVICES: Dict[str, Tuple[type, Callable[[str, str], genpy.Message]]] = {
 }
 
 RECEIVE_BUFFER = 4096
-"""Bytes that are read at once from a peer; longer messages take several reads. rospy allocates them
-anew for each read on each connection, 65,536 unless told otherwise."""
+"""Bytes that are read at once from a peer; longer messages take several reads. rospy allocates
+them again for each read on each connection, 65,536 by default."""
 
 MOST_ADDRESSES = 1000
 """Maximum number of unknown senders whose addresses are noted between two hellos."""

@@ -11,7 +11,7 @@ FIRED_TOPIC = "/fired_transitions"
 plan."""
 
 TASKS_TOPIC = "/finished_tasks"
-"""All teams on a master tell on this topic of tasks that ended; each message names its run."""
+"""All teams on a master report on this topic the tasks that ended; each message names its run."""
 
 
 def stamped_message(kind: Callable[[], Any], **fields: Any) -> Any:

@@ -169,20 +169,20 @@ def await_jobs(jobs: Sequence[Job], seconds: float, ending: Ending) -> None:
     :raises ExecutionError: something did not appear in time, or has another type.
     """
     deadline = time.monotonic() + seconds
-    told = False
+    reported = False
     while not ending.is_set():
         missing = sorted(set(filter(None, (job.missing() for job in jobs))))
         if not missing:
             break
-        if not told:
+        if not reported:
             rospy.loginfo("waits: %s", "; ".join(missing))
-            told = True
+            reported = True
         if time.monotonic() > deadline:
             raise ExecutionError(
                 "; ".join(missing), hint="waited %g s; set ~server_timeout to change that" % seconds
             )
         ending.wait(0.2)
-    if told:
+    if reported:
         for clash in filter(None, (job.clash({}) for job in jobs)):
             raise ExecutionError(clash)
 

@@ -269,7 +269,7 @@ class _RunningGoal:
 
 
 class PlaceServer(ActionServer):
-    """An action server without a thread of its own that does not query the master; its goals may
+    """An action server without its own thread that does not query the master; its goals may
     also come from its own process.
 
     The library's ``initialize`` calls the master six times and starts a timer for each server; with

@@ -56,11 +56,11 @@ def recorded_messages(logs: Sequence[LogFile]) -> Iterator[RecordedMessage]:
 def _messages_of(log: LogFile, whole: bool, others: Set[str]) -> Iterator[RecordedMessage]:
     """The messages from one log.
 
-    :param whole: whether to report the team and all robots except ``others``, which have logs of
-        their own; otherwise only the robot that keeps the log is reported.
+    :param whole: whether to report the team and all robots except ``others``, which have their own
+        logs; otherwise only the robot that keeps the log is reported.
     """
     reader = _LogReader(log)
-    told: Dict[str, MessageFields] = {}
+    reported: Dict[str, MessageFields] = {}
     with log.open() as file:
         for number, (record, _) in enumerate(log.records(file, log.begin, 2), 2):
             for message in reader.messages(record, number):
@@ -69,9 +69,9 @@ def _messages_of(log: LogFile, whole: bool, others: Set[str]) -> Iterator[Record
                     continue
                 if message.kind != "FiredTransition":
                     new = {name: v for name, v in message.fields.items() if name != "slot"}
-                    if told.get(message.topic) == new:
+                    if reported.get(message.topic) == new:
                         continue
-                    told[message.topic] = new
+                    reported[message.topic] = new
                 yield message
 
 

@@ -77,15 +77,17 @@ class TeamMonitor:
                 self.doing[robot] = before._replace(place=place, waits_for="")
 
     def _on_activity(self, message: String, name: str) -> None:
-        told = json_object(message.data)
-        if told is None or not _ACTIVITY_FIELDS <= set(told):
+        shown = json_object(message.data)
+        if shown is None or not _ACTIVITY_FIELDS <= set(shown):
             return  # not a message of an execution node
         with self._lock:
-            if told["run"] != self._run:
+            if shown["run"] != self._run:
                 return
-            self.doing[name] = Doing(told["place"], told["state"], told["visit"], told["waits_for"])
-            self.ended = told["ended"] or self.ended
-            self.fault = self.fault or bool(told["fault"])
+            self.doing[name] = Doing(
+                shown["place"], shown["state"], shown["visit"], shown["waits_for"]
+            )
+            self.ended = shown["ended"] or self.ended
+            self.fault = self.fault or bool(shown["fault"])
 
     def rate(self, seconds: float = 5.0) -> float:
         """Firings per second over the last ``seconds``."""

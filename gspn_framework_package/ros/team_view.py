@@ -224,10 +224,10 @@ class TeamView:
     def _tokens(self) -> Dict[str, int]:
         """Place -> tokens, as reported by the team; before that, the plan's initial tokens."""
         with self._lock:
-            told = self._marking
-        if told is None:
+            reported = self._marking
+        if reported is None:
             return self._plan.net.named(self._plan.net.initial_marking)
-        return dict(zip(told.places, told.counts))
+        return dict(zip(reported.places, reported.counts))
 
     def _publish_image(self) -> None:
         tokens = self._tokens()

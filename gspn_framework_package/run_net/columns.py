@@ -1,7 +1,7 @@
 """The columns of a run net: what the robots of an action place are up to.
 
-A place whose robots must be told apart has a column for each thing that one of them can be up to; a
-state of a run net counts the robots in each:
+A place whose robots must be distinguished has a column for each thing that one of them can be
+doing; a state of a run net counts the robots in each:
 
 * *doing*: for each attempt at the action one column for each phase of the duration (one phase if it
   is exponential);
@@ -62,7 +62,7 @@ class TimedAttempt(NamedTuple):
 
 
 class PlaceColumns(NamedTuple):
-    """The columns of an action place whose robots are told apart.
+    """The columns of an action place whose robots are distinguished.
 
     :ivar entry: where a robot that enters begins: columns with probabilities.
     :ivar ends: for the columns in which an attempt ends, how it may end.
@@ -98,7 +98,7 @@ class PlaceColumns(NamedTuple):
 
     def named_for_people(self, net: Net, p: int) -> Iterator[Tuple[int, str]]:
         """The columns in which time passes, each with what its robots are up to in place ``p``, in
-        words. Nothing if all robots are done, and alike."""
+        words. Nothing if all robots are done and interchangeable."""
         if self.attempts or self.named or self.holding:
             yield from ((c, words) for c, words in self.words(net, p) if c not in self.arriving)
 
@@ -193,7 +193,7 @@ def spread(
 
 
 def _compositions(total: int, parts: int) -> Iterator[Tuple[int, ...]]:
-    """All ways to write ``total`` as a sum of so many numbers of at least 0."""
+    """All ways to write ``total`` as a sum of this many non-negative integers."""
     if parts == 1:
         yield (total,)
         return

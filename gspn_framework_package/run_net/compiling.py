@@ -65,7 +65,7 @@ from gspn_framework_package.run_net.requests import PolicyDraws
 from gspn_framework_package.run_net.run_net import RunNet
 
 FEW_PHASES = 4
-"""An attempt that is cut off or delayed has so many phases at most, or those of its action."""
+"""Maximum number of phases of an attempt that is cut off or delayed, unless its action has more."""
 
 MOST_RETRIES = 20
 """A rule that allows more than this is taken to allow any number."""
@@ -252,7 +252,7 @@ class _Compiler:
         )
 
     def _stays_whole(self, p: int) -> bool:
-        """Whether nothing is to be known of the robots in place ``p`` but how many they are."""
+        """Whether only the number of robots in place ``p`` matters."""
         if not self._rules.acts[p]:
             return True
         if self._rules.classical:
@@ -261,7 +261,7 @@ class _Compiler:
             return False
         if self._net.consumers[p]:
             return self._only_events(p)
-        # when its action is done matters where the run could go on without robots
+        # when its action is done matters where the run could continue without robots
         return not self._outlives_robots or not (
             self._failures[p] or self._timing[p].duration.mean > 0
         )
@@ -364,7 +364,7 @@ class _Compiler:
 
     def _tries(self, p: int) -> Tuple[List[Tuple[Duration, str]], bool]:
         """The attempts at the action of place ``p``: how long each takes, also in words, and
-        whether a robot goes on trying after the last of them. Empty if there is no action."""
+        whether a robot continues trying after the last of them. Empty if there is no action."""
         if p not in self._late:
             return [], False
         timing, rule = self._timing[p], self._timing[p].rule

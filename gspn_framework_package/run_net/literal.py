@@ -1,8 +1,8 @@
 """A run net as an ordinary net, for other tools and for people: a *literal net*.
 
-Each place of the plan is a place of the literal net and has the same tokens. Where robots are told
-apart, each column is a further place. What happens in zero time (``steps``) has priorities, from
-the highest to the lowest:
+Each place of the plan is a place of the literal net and has the same tokens. Where robots are
+distinguished, each column is a further place. What happens in zero time (``steps``) has priorities,
+from the highest to the lowest:
 
 1. what a firing has begun: draws end, the robots move, those that enter a place begin;
 2. the run ends;
@@ -224,7 +224,7 @@ class _Writer(StagedNet):
             self.add(wanted + " with others", meaning, (_MOVE,), weight, takes, puts)
 
     def _enabled(self, t: int) -> Optional[Needed]:
-        """What enables ``t``; None if nothing does."""
+        """The condition that enables ``t``; None if it is never enabled."""
         needs = {self._of[p]: w for p, w in self._net.inputs[t]}
         below: Dict[str, int] = {}
         for p, most in self._net.most_tokens(t):
@@ -341,7 +341,7 @@ class _Writer(StagedNet):
 
     def _ask(self, p: int, t: int, place: str, does: str) -> None:
         """Transition ``t`` fires for a robot in ``place``, a part of place ``p``."""
-        draws_end = self._run.resets[t]  # then all robots at the policy ask again, and are alike
+        draws_end = self._run.resets[t]  # then all robots at the policy ask again
         found: List[Tuple[Dict[str, int], str]] = [({}, "1")]
         later = False
         for taking in self._run.takes[t]:

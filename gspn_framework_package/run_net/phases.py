@@ -10,8 +10,8 @@ variation c (variance / mean^2):
 * c > 1: one of two exponentials, balanced so that both contribute half of the mean (ibid.);
 * c = 0: no number of phases is enough.
 
-Where that would take more phases than wanted, only the mean is the same, and c as near as so many
-phases can come.
+Where that would take more phases than wanted, only the mean is the same, and c as close as that
+many phases allow.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ MOST_PHASES = 200
 """A duration that needs more phases than this gets fewer."""
 
 _TINY, _TINY_SHARE = 1e-3, 1e-4
-"""A duration is tiny whose mean is at most so many seconds, and so much of the longest mean."""
+"""A duration is tiny if its mean is at most this many seconds, and at most this fraction of the
+longest mean."""
 
 _EXPONENTIAL = 1e-9
 """A squared coefficient of variation this close to 1 is that of an exponential duration."""

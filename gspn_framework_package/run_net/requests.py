@@ -1,5 +1,5 @@
-"""What robots that are done ask for: the distribution from which the policy lets each draw, and
-which of several requests fires first."""
+"""The requests of robots that are done: the distribution from which each draws under the policy,
+and which of several requests fires first."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gspn_framework_package.model.plan import Plan
 
 
 class PolicyDraws:
-    """What the policy of a plan lets robots draw.
+    """The draws of robots under the policy of a plan.
 
     :param plan: a validated plan.
     :param net: its net, possibly without some resource places.
@@ -71,9 +71,9 @@ def by_weight(net: Net, marking: Marking, candidates: Sequence[int]) -> List[Tup
 
 
 class Requests(NamedTuple):
-    """Robots in one place that ask alike.
+    """Robots in one place whose requests are identical.
 
-    :ivar robots: how many they are.
+    :ivar robots: their number.
     :ivar draw: the transitions that each of them may ask for and that can fire: transition ->
         probability. With the remaining probability it asks for nothing that can fire.
     """

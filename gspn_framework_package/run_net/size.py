@@ -1,4 +1,4 @@
-"""How many states the phases of durations make."""
+"""The number of states that the phases of durations create."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from gspn_framework_package.run_net.phases import (
 from gspn_framework_package.run_net.run_net import RunNet, State
 
 _MATTERS, _NEGLIGIBLE = 1e-2, 1e-4
-"""What is wrong with phases by less than this needs no more, if others do, or at all: robots, or
+"""An error below this needs no more phases, while others are larger, or at all: robots, or
 share of the longest mean time, times the difference of the coefficients of variation."""
 
 _ENOUGH = 28
-"""So many phases at most, if they are chosen: more change little, and take long to solve."""
+"""Maximum number of phases, if they are chosen: more change little, and take long to solve."""
 
 
 class PhasesOfDurations:
@@ -125,7 +125,7 @@ class PhasesOfDurations:
         most = dict.fromkeys(names, 1)
 
         def wrong(place: str) -> Tuple[float, float]:
-            """What is wrong with the phases in a place: by the robots there, and by mean time."""
+            """The error of the phases in a place: by the robots there, and by mean time."""
             by_robots = by_mean = 0.0
             for name, robots, (_, (*_, duration, _), _) in zip(names, spent, self._many):
                 if name == place:
@@ -212,7 +212,7 @@ def _distinct(rows: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
 
 
 def _spreadings(robots: int, phases: float) -> float:
-    """The number of ways in which robots that are alike can be in phases."""
+    """The number of ways in which interchangeable robots can be in phases."""
     if not robots:
         return 1.0
     if math.isinf(phases):

@@ -21,7 +21,7 @@ TokenCounts = Mapping[str, int]
 
 
 class Meaning(NamedTuple):
-    """What a place or transition of a literal net stands for.
+    """The meaning of a place or transition of a literal net.
 
     :ivar of: the place or transition of the plan; "": none.
     :ivar text: for people.

@@ -6,8 +6,8 @@ as in ``execution/turn.py``:
 1. ``until`` ends the run.
 2. Transitions that only take resources fire, by priority and weight.
 3. Robots that ask the policy draw. A draw holds until the marking changes, or until the candidates
-   do: a partner that gets done can make one of higher priority possible. A partner that gets done
-   does not change the marking.
+   do: a partner that becomes done can make one of higher priority possible. A partner that becomes
+   done does not change the marking.
 4. Among the requests that can fire, the most urgent goes first: immediate transitions by priority,
    then exponential ones. Between equals chance decides: each is equally likely.
 5. A transition takes robots that are done and free for it: those that named it, and, if it is
@@ -292,7 +292,7 @@ class Steps:
         return {t for t in self._immediate if self._can_fire(state, marking, t)}
 
     def _at_once(self, state: State, marking: Marking) -> List[RunStep]:
-        """The steps in zero time, but for the ends of actions that take none."""
+        """The steps in zero time, except the ends of actions that take no time."""
         net = self._net
         spontaneous = [t for t in self.run_net.spontaneous if net.is_enabled(marking, t)]
         if not spontaneous and not any(self._counts_waiting(state)):
@@ -326,7 +326,7 @@ class Steps:
         return [RunStep(target, t, value / whole) for target, t, value in steps]
 
     def _requests(self, state: State, marking: Marking) -> _Asked:
-        """What the robots that are done ask for."""
+        """The requests of the robots that are done."""
         asked = _Asked([], [], [], [])
         for p in dict.fromkeys([p for column, p in self._waiting if state[column]]):
             columns = self.run_net.columns[p]
@@ -416,7 +416,7 @@ class Steps:
         (columns with counts, probability). Any other robots that are free are equally likely."""
         found: List[Tuple[Taken, float]] = [((), 1.0)]
         for _, weight, named, at_policy in self.run_net.takes[t]:
-            # If the draws end, all at the policy draw again: they are alike.
+            # If the draws end, all at the policy draw again: they are interchangeable.
             classes = [at_policy] if self.run_net.resets[t] else [(c,) for c in at_policy]
             classes = [((named,) if named >= 0 else ()), *classes]
             free = [sum(state[c] for c in members) for members in classes]
@@ -470,7 +470,7 @@ class _Drawing(NamedTuple):
 
 
 class _Asked(NamedTuple):
-    """What robots that are done ask for in a state.
+    """The requests of the robots that are done in a state.
 
     :ivar groups: the requests that can fire, each from one of ``columns``.
     :ivar drawing: the robots that ask the policy, as they draw what cannot fire.
@@ -484,8 +484,7 @@ class _Asked(NamedTuple):
 
 
 def _choices(numbers: Sequence[int], wanted: int) -> List[Tuple[Tuple[int, ...], float]]:
-    """How many of each class are among ``wanted`` ones that are chosen from all at random: with
-    probabilities."""
+    """The distribution of the members of each class among ``wanted`` random ones."""
     if sum(numbers) == wanted:
         return [(tuple(numbers), 1.0)]
     ways = math.comb(sum(numbers), wanted)
@@ -497,7 +496,7 @@ def _choices(numbers: Sequence[int], wanted: int) -> List[Tuple[Tuple[int, ...],
 
 
 def _pick(state: State, classes: Sequence[Tuple[int, ...]], numbers: Sequence[int]) -> Taken:
-    """So many robots of each class, whichever columns of it they are in."""
+    """A number of robots of each class, in any of its columns."""
     taken = []
     for members, left in zip(classes, numbers):
         for column in members:

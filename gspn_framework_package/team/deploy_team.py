@@ -16,7 +16,7 @@ VOTING_TIME = 30.0
 """Seconds that the members have by default to check a plan."""
 
 ADOPTED = "the run follows the plan"
-"""What is said where a robot had it adopted but did not say so in time."""
+"""The answer where a robot adopted the plan but did not report it in time."""
 
 Votes = Mapping[str, Optional[str]]
 """Member -> why it cannot follow the plan; "" if it can, None if it has not voted yet."""

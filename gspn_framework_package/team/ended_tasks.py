@@ -17,7 +17,7 @@ HOOK_SECONDS = 5.0
 """Seconds that a web address has to answer."""
 
 TaskNotice = Mapping[str, Any]
-"""How a task ended, as a team tells it: ``id``, ``outcome``, ``why``."""
+"""How a task ended, as a team reports it: ``id``, ``outcome``, ``why``."""
 
 
 class EndedTasks:

@@ -87,7 +87,7 @@ class ReplicaHost:
     :raises GspnError: the log or the sources cannot be used.
 
     :ivar plan: the plan that the robot is following.
-    :ivar exit_code: None while the run goes on; then 0 if the run completed, and 1 if it was
+    :ivar exit_code: None while the run continues; then 0 if the run completed, and 1 if it was
         stopped or failed or if this host or its replica failed.
     """
 
@@ -118,9 +118,9 @@ class ReplicaHost:
         self._running = True
         self._progress: List[int] = []
         self._attempt = 1
-        self._told_visit = 0
+        self._reported_visit = 0
         self._gone: Dict[str, Phase] = {}
-        self._told_length = -1
+        self._reported_length = -1
         self._began_with = plan
         self._reporter, self._status_reporter = reporter, StatusReporter(reporter)
         self._make_sources: Callable[[Plan], EventSide] = lambda plan: sources(
@@ -143,7 +143,7 @@ class ReplicaHost:
         self._actions: ActionSide
         self._report: SelfReport
         self._others: Sequence[Callable[[], None]] = ()
-        self._told_end: Callable[[str], None] = lambda robot: None
+        self._reported_end: Callable[[str], None] = lambda robot: None
         self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
 
     def connect(
@@ -200,7 +200,7 @@ class ReplicaHost:
 
         :param ended: receives the name of the robot when the host has ended.
         """
-        self._told_end = ended
+        self._reported_end = ended
         self._thread.start()
         self._events.start()
 
@@ -271,7 +271,7 @@ class ReplicaHost:
             try:
                 self._close()
             finally:
-                self._told_end(self.robot)
+                self._reported_end(self.robot)
 
     def _turn(self) -> None:
         now = time.monotonic()
@@ -296,10 +296,10 @@ class ReplicaHost:
             self._status_reporter.note_change()  # the action side waits for something
         self._take_inputs()
         report = self._report
-        told = self._status_reporter.poll(
+        reported = self._status_reporter.poll(
             now, self._carrier, self._activity, report.team, report.diagnosis
         )
-        due = min(self._wake_at, told)
+        due = min(self._wake_at, reported)
         if action_due is not None:
             due = min(due, action_due)
         timeout = max(0.0, due - time.monotonic())
@@ -358,9 +358,9 @@ class ReplicaHost:
         """Report robots that were lost, left or came back, and detect an end of the run that
         arrived in a snapshot."""
         ledger = self._replica.ledger
-        if ledger.length == self._told_length:
+        if ledger.length == self._reported_length:
             return
-        first, self._told_length = self._told_length < 0, ledger.length
+        first, self._reported_length = self._reported_length < 0, ledger.length
         gone = {
             robot.name: robot.phase for robot in ledger.state.robots.values() if robot.phase.gone
         }
@@ -392,7 +392,7 @@ class ReplicaHost:
         records: List[interface.Persist] = []
         sends: List[interface.Send] = []
         replies: List[interface.Reply] = []
-        told: List[interface.Fired] = []
+        reported: List[interface.Fired] = []
         others: List[interface.Effect] = []
         for effect in effects:
             if isinstance(effect, interface.Persist):
@@ -404,7 +404,7 @@ class ReplicaHost:
             else:
                 others.append(effect)
                 if isinstance(effect, interface.Fired) and (effect.publish or effect.private):
-                    told.append(effect)
+                    reported.append(effect)
         if records:
             durable = any(e.durable for e in records)
             synced = any(e.synced for e in records)
@@ -413,8 +413,8 @@ class ReplicaHost:
             self._carrier.send(sends)
         for reply in replies:
             self._reply(reply)
-        if told:
-            self._carrier.publish_firings([firing_fields(fired, self.run) for fired in told])
+        if reported:
+            self._carrier.publish_firings([firing_fields(fired, self.run) for fired in reported])
         for effect in others:
             self._effects[type(effect)](self, effect)
 
@@ -431,8 +431,8 @@ class ReplicaHost:
     def _on_fired(self, effect: interface.Fired) -> None:
         for move in effect.firing.moves:
             # a local transition was already reported when it fired; now it is in the agreed log
-            if move.robot == self.robot and move.visit > self._told_visit:
-                self._told_visit = move.visit
+            if move.robot == self.robot and move.visit > self._reported_visit:
+                self._reported_visit = move.visit
                 self._status_reporter.say(
                     "%s fires, %s -> %s" % (effect.firing.transition, move.source, move.target)
                 )

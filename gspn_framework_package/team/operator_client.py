@@ -1,6 +1,6 @@
 """The client of an operator's program: asks robots, and gives them orders.
 
-What carries the requests is a :class:`RobotLine`: on ROS
+A :class:`RobotLine` carries the requests: on ROS
 :class:`~gspn_framework_package.ros.service_line.ServiceLine`, over Zenoh
 :class:`~gspn_framework_package.team.zenoh_operator.ZenohLine`.
 """

@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from gspn_framework_package.model.plan import Plan
 
 LONGEST_NUMBER = 18
-"""Most digits of a number in an argument."""
+"""Maximum number of digits of a number in an argument."""
 
 
 class FieldKind(enum.Enum):
-    """What a field of an order holds; the value is its name for the page."""
+    """The type of an order's field; the value is its name for the page."""
 
     ROBOT = "robot"
     PLACE = "place"

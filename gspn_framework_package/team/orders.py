@@ -144,7 +144,7 @@ class OrderKind(NamedTuple):
         return self.values(given, SUBMITTED)
 
     def argument(self, values: Mapping[str, Any]) -> str:
-        """What travels in the ``argument`` of a request: a text as it is, other values as JSON,
+        """The ``argument`` of a request: a text unchanged, other values as JSON,
         several as a JSON object, without empty texts and zeros that need not be given."""
         inside = self._inside
         if len(inside) != 1:
@@ -214,7 +214,7 @@ ORDERS: Dict[str, OrderKind] = {
         ),
         lambda robot, stop: log_entries.Pause(robot, stop=stop),
         example="robot_2 --stop",
-        note="Without --stop, running actions go on until they are done, and the robot then waits.",
+        note="Without --stop, running actions finish, and the robot then waits.",
         form=Form(
             "running",
             "Pause",
@@ -241,7 +241,7 @@ ORDERS: Dict[str, OrderKind] = {
             "Remove it from the team as lost, if it will not come back by itself.",
             "Evict {robot}",
             title="Evict {robot} from the run “{run}”?",
-            text="{state} The team goes on without it, and its token is taken out of the net. "
+            text="{state} The team continues without it, and its token is taken out of the net. "
             "What it is doing is cancelled once it hears of that.",
             confirm="Evict {robot}",
             style="danger",
@@ -255,7 +255,7 @@ ORDERS: Dict[str, OrderKind] = {
         against_robot=True,
     ),
     "trust": OrderKind(
-        "go on without the robots that stay off after a loss of power",
+        "continue without the robots that stay off after a loss of power",
         entry=lambda: log_entries.Evict("", -1, True),
         example="",
     ),
@@ -517,7 +517,10 @@ ORDERS: Dict[str, OrderKind] = {
         like='{"plan": {...}, "map": {...}}',
     ),
     "adopt": OrderKind(
-        "go on under the plan that is staged", (STAGE_FIELD,), log_entries.Adopt, seconds=ADOPT_TIME
+        "continue under the plan that is staged",
+        (STAGE_FIELD,),
+        log_entries.Adopt,
+        seconds=ADOPT_TIME,
     ),
     "unstage": OrderKind("give up the plan that is staged", (STAGE_FIELD,), log_entries.Unstage),
     "breakpoints": OrderKind(

@@ -94,8 +94,8 @@ def _findings(plan: Plan) -> Tuple[List[str], List[str]]:
         if item.severity is Severity.WARNING:
             warnings.setdefault(item.check, []).append(item.text)
     more = " (and %d more of this kind: see 'gspn check')"
-    told = [
+    shown = [
         "%s: %s%s" % (kind, texts[0], more % (len(texts) - 1) if len(texts) > 1 else "")
         for kind, texts in warnings.items()
     ]
-    return told, [i.text for i in report.items if i.severity is Severity.REFUSED]
+    return shown, [i.text for i in report.items if i.severity is Severity.REFUSED]

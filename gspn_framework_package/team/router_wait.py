@@ -20,7 +20,7 @@ def await_router(
     :param say: prints a line for people.
     :param wait: waits for some seconds; a true result ends the waiting.
     """
-    told = False
+    reported = False
     while True:
         reasons = []
         for endpoint in endpoints:
@@ -30,9 +30,9 @@ def await_router(
             reasons.append("%s: %s" % (endpoint, why))
         if not reasons:
             return
-        if not told:
+        if not reported:
             say("waits for a router (%s)" % "; ".join(reasons))
-        told = True
+        reported = True
         if wait(_PERIOD):
             return
 

@@ -256,7 +256,7 @@ class Seal:
         try:
             return _Line(words[2], int(words[3]), int(words[4]) / 1000.0, sender, to), body
         except (ValueError, OverflowError):
-            raise NotSealedError("its number or time is no number", sender) from None
+            raise NotSealedError("its number or time is not a number", sender) from None
 
     def _code(self, purpose: str, line: str, body: str) -> str:
         return self._key.code(

@@ -39,16 +39,16 @@ class StatusReporter:
 
     def __init__(self, reporter: Reporter) -> None:
         self._reporter = reporter
-        self._told: Dict[str, Any] = {}
+        self._reported: Dict[str, Any] = {}
         self._changed = True
         self._activity_at = 0.0
         self._watched, self._look_at = False, 0.0
-        self._team_told: Tuple[MessageFields, MessageFields] = ({}, {})
+        self._team_reported: Tuple[MessageFields, MessageFields] = ({}, {})
         self._team_at = 0.0
         self._diagnosis_at = 0.0
         self._reason = ""
         self._reason_since = 0.0
-        self._reason_told = ""
+        self._reason_reported = ""
         self._second = 0
         self._lines = 0
 
@@ -92,19 +92,19 @@ class StatusReporter:
         if self._changed and now >= self._activity_at:
             self._changed = False
             self._activity_at = now + period
-            told = activity()
-            if told != self._told:
-                self._told = told
-                carrier.publish_activity(told)
-            self._note_reason(told["waits_for"], now)
+            reported = activity()
+            if reported != self._reported:
+                self._reported = reported
+                carrier.publish_activity(reported)
+            self._note_reason(reported["waits_for"], now)
         self._report_reason(now)
         if now >= self._team_at:
             watched = carrier.is_team_watched()
             self._team_at = now + (TEAM_PERIOD if watched else UNHEARD_PERIOD)
             if watched:
                 state = team()
-                if state != self._team_told:
-                    self._team_told = state
+                if state != self._team_reported:
+                    self._team_reported = state
                     carrier.publish_team(*state)
         if now >= self._diagnosis_at:
             self._diagnosis_at = now + DIAGNOSIS_PERIOD
@@ -119,8 +119,8 @@ class StatusReporter:
 
     def _report_reason(self, now: float) -> None:
         """Print what the robot waits for, once it has waited for a while."""
-        if self._reason != self._reason_told and now >= self._reason_since + WAITING_TIME:
-            self._reason_told = self._reason
+        if self._reason != self._reason_reported and now >= self._reason_since + WAITING_TIME:
+            self._reason_reported = self._reason
             if self._reason:
                 self.say(self._reason)
 

@@ -582,7 +582,7 @@ class _ScriptedRun(VirtualRun):
         for robot, _ in begun:
             self._owner.visit_begins(robot.name)
 
-    def _tell(
+    def _report(
         self, entries: Sequence[log_entries.Entry], step: Step, before: Tuple[int, ...]
     ) -> None:
         self._owner.stepped(entries, step, before)

@@ -1,4 +1,4 @@
-"""What a test sees of a run, and what it says of the actions."""
+"""The view that a test has of a run, and the results that it sets for actions."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ Act = Callable[[ActionAttempt], Any]
 
 
 class Rule(NamedTuple):
-    """What a test says of the next attempts in a place."""
+    """The results that a test sets for the next attempts in a place."""
 
     place: str
     robot: str

@@ -198,9 +198,9 @@ def _predict(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str, 
 def exact_paces(
     subject: Union[Net, Plan], seconds: Optional[float], progress: Progress
 ) -> Dict[str, Any]:
-    """The firings per second of each transition in the long run, by the Markov chain of so many
-    ``states``, with the half widths of their intervals where durations are replaced; or ``why``
-    there is no such answer within so many seconds."""
+    """The firings per second of each transition in the long run, by the Markov chain with
+    ``states`` states, with the half widths of their intervals where durations are replaced; or
+    ``why`` there is no such answer within so many seconds."""
     if isinstance(subject, Plan):
         differing = PlanTiming(subject).differing
         if differing:

@@ -102,19 +102,19 @@ def fire_event(
     return event
 
 
-def data_event(known: Dict[str, Any], told: Mapping[str, Any]) -> List[Event]:
+def data_event(known: Dict[str, Any], reported: Mapping[str, Any]) -> List[Event]:
     """The events for changes in a team's data and tasks; none if nothing changed.
 
     :param known: what was reported before; updated.
-    :param told: the present ``team``, ``queues`` and ``waiting``.
+    :param reported: the present ``team``, ``queues`` and ``waiting``.
     """
     event: Event = {}
     for key in ("team", "waiting"):
-        if told[key] != known.get(key, type(told[key])()):
-            event[key] = known[key] = told[key]
+        if reported[key] != known.get(key, type(reported[key])()):
+            event[key] = known[key] = reported[key]
     queues = known.setdefault("queues", {})
     # a queue that is not reported is empty
-    now = {**dict.fromkeys(queues, []), **told["queues"]}
+    now = {**dict.fromkeys(queues, []), **reported["queues"]}
     changed = {place: tasks for place, tasks in now.items() if tasks != queues.get(place, [])}
     if changed:
         queues.update(changed)

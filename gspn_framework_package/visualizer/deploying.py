@@ -100,7 +100,7 @@ def _mapping(fields: RequestFields) -> Dict[str, str]:
 
 
 def proposal(old: Plan, new: Plan, report: PreflightReport) -> Dict[str, Any]:
-    """What the operator needs for the decision.
+    """The facts on which the operator decides.
 
     :param report: the check's report on the new plan.
     :returns: the ``verdict`` of the check, whether it is ``refused``, and its ``findings``; the

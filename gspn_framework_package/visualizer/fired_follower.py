@@ -83,7 +83,7 @@ class TeamSeen(NamedTuple):
 
 
 def team_seen(plan: Plan, newest: Dict[str, Any], answers: List[Dict[str, Any]]) -> TeamSeen:
-    """What robots that run a plan answered about their team.
+    """Answers of robots about their team.
 
     :param newest: the answer of the robot whose log is longest.
     :param answers: those of all. In partial synchronisation, each knows only itself for certain.

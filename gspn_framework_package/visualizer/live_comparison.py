@@ -160,10 +160,10 @@ class RunFollower:
         policy = timing is not None and any(outcome == POLICY for outcome, _ in timing.outcomes)
         return self._net.transitions[t].name if named or not policy else ""
 
-    def _robot(self, told: Dict[str, Any], now: float) -> None:
-        name = told["name"]
+    def _robot(self, shown: Dict[str, Any], now: float) -> None:
+        name = shown["name"]
         known = self._places.get(name)
-        place = told.get("place", known)
+        place = shown.get("place", known)
         if place is None:
             return
         if known is not None and place != known:  # the robot was put there
@@ -171,11 +171,11 @@ class RunFollower:
         new = known is None
         self._places[name] = place
         going = self._going.get(name)
-        phase = Phase.of_value(told["phase"]) if "phase" in told else None
-        attempt = told.get("attempt")
+        phase = Phase.of_value(shown["phase"]) if "phase" in shown else None
+        attempt = shown.get("attempt")
         if going is not None and attempt is not None:
             if attempt > going.attempt:
-                self._fail(name, told, now)
+                self._fail(name, shown, now)
                 self._begin(name, place, attempt, now + self._delay(place, attempt - 1))
                 going = self._going[name]
             else:
@@ -186,7 +186,7 @@ class RunFollower:
             self._cut(name, now)
         elif phase is Phase.FAILED:
             if going is not None:
-                self._fail(name, told, now)
+                self._fail(name, shown, now)
             self._failed[name] = True
         elif phase in (Phase.DOING, Phase.FREE):
             started = (new and self._complete) or self._failed.pop(name, False)
@@ -201,8 +201,8 @@ class RunFollower:
         self._going[name] = _Attempt(place, attempt)
         self._monitor.begin(name, self._net.places[place].name, start)
 
-    def _fail(self, name: str, told: Dict[str, Any], now: float) -> None:
-        late = str(told.get("why", "")).startswith(Outcome.TIMEOUT)
+    def _fail(self, name: str, shown: Dict[str, Any], now: float) -> None:
+        late = str(shown.get("why", "")).startswith(Outcome.TIMEOUT)
         reason = Outcome.TIMEOUT if late else Outcome.ABORTED
         self._monitor.end(name, now, failed=reason)
         self._going.pop(name, None)
@@ -241,7 +241,7 @@ class LiveComparison:
         self._jobs = AnalysisJobs()
         self._stop = threading.Event()
         self._points: List[Tuple[float, List[int]]] = []
-        self._told = 0
+        self._shown = 0
         if not plan.durations:
             self._say("none", "the plan gives no durations, so there is no model to compare with")
             return
@@ -321,8 +321,8 @@ class LiveComparison:
     def _publish(
         self, monitor: Monitor, follower: RunFollower, prediction: Dict[str, Any], now: float
     ) -> None:
-        new = [alarm for alarm in monitor.alarms[self._told :] if not monitor.is_explained(alarm)]
-        self._told = len(monitor.alarms)
+        new = [alarm for alarm in monitor.alarms[self._shown :] if not monitor.is_explained(alarm)]
+        self._shown = len(monitor.alarms)
         for alarm in new:
             since = max(alarm.since, 0.0) + self._began
             text = "%s, since about %.0f s" % (alarm.describe(), since)

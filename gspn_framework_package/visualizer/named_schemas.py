@@ -174,7 +174,7 @@ ANALYSIS_FIELDS: Dict[str, Schema] = {
     "decide?": object_with({"kind": TEXT, "about?": TEXT}),
     "optimise?": component("PolicyForm"),
 }
-"""What can be asked of a net or a plan; one of ``simulate``, ``sweep``, ``predict``, ``decide``,
+"""A question about a net or a plan; one of ``simulate``, ``sweep``, ``predict``, ``decide``,
 ``optimise``, or any of the others."""
 _SIMULATION: Dict[str, Schema] = {
     "time?": described_as(NUMBER, "length of a run (s); not needed with 'until'"),

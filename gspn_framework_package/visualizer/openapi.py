@@ -73,7 +73,7 @@ API_PARAMETERS: Dict[str, Tuple[Schema, str]] = {
     "until": (TEXT, "the day after the last day, YYYY-MM-DD"),
     "robot": (TEXT, "only this robot"),
     "place": (TEXT, "only this place"),
-    "page": (TEXT, "tells a page that edits a plan from others"),
+    "page": (TEXT, "distinguishes a page that edits a plan from other pages"),
 }
 
 
@@ -84,7 +84,7 @@ class ApiOperation(NamedTuple):
     :ivar about: what it does, as one sentence.
     :ivar query: names of its parameters; with a question mark if optional.
     :ivar body: the fields of its JSON object, with their schemas; with a question mark if optional.
-        None for an order, which has a schema of its own for each command.
+        None for an order, which has its own schema for each command.
     :ivar answer: the fields of its answer, likewise; empty if it only confirms. A text is the name
         of a schema in :data:`NAMED_SCHEMAS`.
     :ivar media: the type of its answer.
@@ -580,9 +580,9 @@ def _described(method: str, path: str, operation: ApiOperation) -> Dict[str, Any
 
 def _answer(operation: ApiOperation) -> Schema:
     if operation.sends:
-        told = ["%s: %s" % (event or "message", name) for event, name in operation.sends.items()]
+        sends = ["%s: %s" % (event or "message", name) for event, name in operation.sends.items()]
         return described_as(
-            TEXTS[operation.media], "event: the schema of its data. " + ", ".join(told)
+            TEXTS[operation.media], "event: the schema of its data. " + ", ".join(sends)
         )
     if isinstance(operation.answer, str):
         return component(operation.answer)

@@ -12,10 +12,10 @@ from gspn_framework_package.model.errors import GspnError, UsageError
 from gspn_framework_package.model.plan import Plan
 
 MOST_ENTRIES = 100
-"""Most entries of each list of the form."""
+"""Maximum number of entries of each list of the form."""
 
 LONGEST_CONDITION = 2_000
-"""Most characters of a condition."""
+"""Maximum number of characters of a condition."""
 
 LONGEST_SIMULATION = 60.0
 """Longest time (s) for which the form may have the old and the new plan simulated."""

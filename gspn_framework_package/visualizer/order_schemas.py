@@ -41,7 +41,7 @@ _OF_KIND: Dict[FieldKind, Schema] = {
 
 
 class PageCommand(NamedTuple):
-    """A command that is no order of the table: what it does, and its fields."""
+    """A command that is not in the table of orders: what it does, and its fields."""
 
     about: str
     fields: Mapping[str, Schema] = {}
@@ -116,7 +116,7 @@ def order_schemas() -> Dict[str, Schema]:
 
 
 def any_order() -> Schema:
-    """One of these, told apart by ``command``."""
+    """One of these, distinguished by ``command``."""
     known = {
         schema["properties"]["command"]["default"]: name for name, schema in order_schemas().items()
     }

@@ -102,7 +102,7 @@ class PageOrders:
             line.close()
 
     def _handler(self, command: str, kind: OrderKind) -> Handler:
-        """What carries out an order with the fields that the page gives."""
+        """The function that carries out an order with the page's fields."""
 
         def run(fields: RequestFields) -> Dict[str, Any]:
             values = kind.checked(fields, PAGE, self._team.plan)
@@ -152,9 +152,9 @@ class PageOrders:
         there = {n: name for n, name in self._team.names.items() if name not in self._team.gone}
         answers = ask_robots(self._line, there, request, LONGEST_ORDER_TIME + 0.2)
         label = self._connection.label
-        told = [(label(n), answer) for n, answer in sorted(answers.items())]
-        refusals = ["%s: %s" % (n, a.message) for n, a in told if a is not None and not a.success]
-        refusals += ["%s does not answer" % n for n, answer in told if answer is None]
+        shown = [(label(n), answer) for n, answer in sorted(answers.items())]
+        refusals = ["%s: %s" % (n, a.message) for n, a in shown if a is not None and not a.success]
+        refusals += ["%s does not answer" % n for n, answer in shown if answer is None]
         self._team.ask_soon()
         if refusals or not there:
             raise RefusedError("; ".join(refusals) or "no robot of the run has been heard from yet")

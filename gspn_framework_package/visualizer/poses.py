@@ -17,7 +17,7 @@ SPARSE = 0.5
 """Seconds between two moments of a track; the page draws what lies between."""
 
 MOST_MOMENTS = 40_000
-"""Most moments of a track: more than five hours of robots that never stand still."""
+"""Maximum number of moments of a track: more than five hours of robots that never stand still."""
 
 POSES_AT_ONCE = 60.0
 """Seconds of a track that the page gets at once; half as many lie before what it asked for."""
@@ -97,7 +97,7 @@ class PoseTrack:
 
 
 def robot_pose(message: Any, topic: str) -> Optional[RobotPose]:
-    """What a message on one of :data:`POSE_TOPICS` says; None if it is no number."""
+    """The pose in a message on one of :data:`POSE_TOPICS`; None if it is not a number."""
     at, q = message.pose.pose.position, message.pose.pose.orientation
     if not all(map(math.isfinite, (at.x, at.y, q.x, q.y, q.z, q.w))):
         return None

@@ -89,13 +89,13 @@ class Replay(Activity):
         self._stop.set()
 
     def _read(self, hub: Hub) -> None:
-        told = 0.0
+        reported = 0.0
         for board, share in self._recording.read():
             if self._stop.is_set():
                 return
             now = time.monotonic()
-            if share >= 1.0 or now - told >= TELL:
-                told = now
+            if share >= 1.0 or now - reported >= TELL:
+                reported = now
                 hub.advance(board)
                 hub.change_info(loading=share < 1.0, progress=round(share, 3))
             time.sleep(0)  # viewers take precedence

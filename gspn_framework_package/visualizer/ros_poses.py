@@ -39,16 +39,16 @@ class RosPoses:
     """
 
     def __init__(self, subscribe: Subscribe, tell: Tell) -> None:
-        self._subscribe, self._tell = subscribe, tell
+        self._subscribe, self._report = subscribe, tell
         self._lock = threading.Lock()
         self._topics: Dict[str, int] = {}
         self._has_map = False
         self._poses: Dict[str, RobotPose] = {}
-        self._told: Mapping[str, Any] = {}
-        self._told_at = 0.0
+        self._reported: Mapping[str, Any] = {}
+        self._reported_at = 0.0
 
     def find(self, published: Mapping[str, str], namespaces: Collection[str]) -> None:
-        """Listen to what is published, and tell the latest poses.
+        """Subscribe to poses, and report the latest ones.
 
         :param published: topic -> type.
         :param namespaces: those of the robots of the team.
@@ -66,7 +66,7 @@ class RosPoses:
                     self._topics[namespace] = rank
                     self._subscribe(namespace + topic, kind, self._taker(namespace, rank))
                     break
-        self._tell_poses(0.0)
+        self._report_poses(0.0)
 
     def _taker(self, namespace: str, rank: int) -> Callable[[Any], None]:
         def take(message: Any) -> None:
@@ -75,19 +75,19 @@ class RosPoses:
                 if where is not None:
                     with self._lock:
                         self._poses[namespace] = where
-                    self._tell_poses(POSES_PERIOD)
+                    self._report_poses(POSES_PERIOD)
 
         return take
 
-    def _tell_poses(self, period: float) -> None:
-        """Tell the poses if they have changed, and were last told ``period`` seconds ago."""
+    def _report_poses(self, period: float) -> None:
+        """Report the poses if they have changed, at most once every ``period`` seconds."""
         now = time.monotonic()
         with self._lock:
-            if self._poses == self._told or now - self._told_at < period:
+            if self._poses == self._reported or now - self._reported_at < period:
                 return
-            self._told, self._told_at = dict(self._poses), now
-            told = self._told
-        self._tell("poses", told)
+            self._reported, self._reported_at = dict(self._poses), now
+            reported = self._reported
+        self._report("poses", reported)
 
     def _on_map(self, message: Any) -> None:
-        self._tell("map", map_to_json(message))
+        self._report("map", map_to_json(message))

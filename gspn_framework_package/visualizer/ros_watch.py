@@ -106,11 +106,11 @@ class RosConnection:
 
         def callback(message: String) -> None:
             try:
-                told: Any = json.loads(message.data)
+                reported: Any = json.loads(message.data)
             except ValueError as error:
                 self.report("the page: %s is not JSON (%s)" % (" of ".join(what), error))
                 return
-            self._seen(*what, told)
+            self._seen(*what, reported)
 
         return callback
 

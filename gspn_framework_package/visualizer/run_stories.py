@@ -18,7 +18,7 @@ from gspn_framework_package.visualizer.project import Project
 from gspn_framework_package.visualizer.session import Session
 
 STORY_BYTES = 100_000_000
-"""Size of the largest log whose story the page tells; it is read while a viewer waits."""
+"""Size of the largest log whose story the page shows; it is read while a viewer waits."""
 
 _MOST = 200
 """Largest numbers of waits and moments on the page."""
@@ -33,7 +33,7 @@ class RunStories:
         self._story: Any = None
 
     def of(self, session: Session) -> RunStory:
-        """The story of the run shown, up to now if the run goes on.
+        """The story of the run shown, up to now if the run continues.
 
         :raises InputError: this server has no log of it, or a log that is too large.
         """

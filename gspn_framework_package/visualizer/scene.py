@@ -58,7 +58,7 @@ def scene_to_json(net: Net, plan: Optional[Plan] = None) -> Dict[str, Any]:
 
 
 def boxes_of(plan: Optional[Plan]) -> Dict[str, Any]:
-    """What :func:`lay_out` needs to know of a plan: its subnets and groups."""
+    """The input of :func:`lay_out` from a plan: its subnets and groups."""
     return {} if plan is None else {"subnets": plan.subnets, "groups": plan.groups}
 
 

@@ -26,7 +26,7 @@ def described_as(schema: Schema, text: str) -> Schema:
 
 
 def or_null(schema: Schema) -> Schema:
-    """What the schema takes, or null."""
+    """A value of the schema, or null."""
     return {**schema, "type": [schema["type"], "null"]}
 
 

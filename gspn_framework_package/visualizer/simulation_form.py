@@ -97,11 +97,11 @@ def sweep_in_parts(
     wanted = chosen(subject, _few_texts(form, "measure"), ends)
     sweep = Sweep(subject, variations, asked)
     points: List[SweepPoint] = []
-    told = clock.monotonic()
+    reported = clock.monotonic()
     for point in sweep.run(watch=Watch(progress)):
         points.append(point)
-        if clock.monotonic() - told > _EVERY or len(points) == 1:
-            told = clock.monotonic()
+        if clock.monotonic() - reported > _EVERY or len(points) == 1:
+            reported = clock.monotonic()
             tell({**sweep.to_json(points, wanted), "of": len(sweep.points)})
     tell({**sweep.to_json(points, wanted), "of": len(sweep.points)})
 

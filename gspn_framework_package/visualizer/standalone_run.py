@@ -90,7 +90,7 @@ class StandaloneRun(Activity, Listener):
             self._record(runs)
         self._events = TeamEvents(self._executor.game)
         self._over = threading.Lock()
-        self._told_end = False
+        self._reported_end = False
         self._changed_plan = False
         self.commands = {
             "stop": self._stop,
@@ -106,7 +106,7 @@ class StandaloneRun(Activity, Listener):
         self, plan: Plan, mapping: Mapping[str, str], tell: Callable[[Votes], None]
     ) -> DeployOutcome:
         """See :class:`Activity`."""
-        if self._told_end:
+        if self._reported_end:
             raise RefusedError("the run is over")
         agents = not self._plan.keeps_robots
         obey(self.verdict(plan), plan)
@@ -146,7 +146,7 @@ class StandaloneRun(Activity, Listener):
     @property
     def running(self) -> bool:
         """Whether the plan is being executed."""
-        return not self._told_end
+        return not self._reported_end
 
     def begin(self, hub: Hub) -> None:
         """Start the run."""
@@ -171,7 +171,7 @@ class StandaloneRun(Activity, Listener):
 
     def _stop(self, fields: RequestFields) -> Dict[str, Any]:
         """End the run; it is over when this returns."""
-        if self._told_end:
+        if self._reported_end:
             raise RefusedError("the run is over")
         reason = ORDERS["stop"].values(fields, PAGE)["reason"]
         self._stop_it(reason, STOP_SECONDS)
@@ -190,7 +190,7 @@ class StandaloneRun(Activity, Listener):
         the fields of the order."""
 
         def run(fields: RequestFields) -> Dict[str, Any]:
-            if self._told_end:
+            if self._reported_end:
                 raise RefusedError("the run is over")
             kind = ORDERS[command]
             values = kind.values(fields, PAGE, self._plan)
@@ -257,7 +257,7 @@ class StandaloneRun(Activity, Listener):
         state: TeamState,
     ) -> None:
         """Publish the events of a step, on the executor's thread."""
-        if self._told_end:
+        if self._reported_end:
             return  # this run was abandoned and no longer owns the hub
         self._hub.publish(*self._events.step(entries, firings, state))
         if self._changed_plan:
@@ -272,12 +272,12 @@ class StandaloneRun(Activity, Listener):
 
     def on_feedback(self, agent: str, visit: int, progress: Tuple[Any, ...]) -> None:
         """Process feedback, on the action's thread."""
-        if not self._told_end:
+        if not self._reported_end:
             self._feedback.show(agent, "feedback: %s" % ", ".join(str(p) for p in progress))
 
     def on_fault(self, agent: str, message: str) -> None:
         """Publish a fault, on the executor's thread."""
-        if not self._told_end:
+        if not self._reported_end:
             self._hub.publish(note_event("fault", message, agent))
 
     def on_end(self, reason: str, finished: bool) -> None:
@@ -294,16 +294,16 @@ class StandaloneRun(Activity, Listener):
 
     def _gave_way(self, reason: str) -> None:
         """End the run by a fault that has not been reported yet."""
-        if not self._told_end:
+        if not self._reported_end:
             self._hub.publish(note_event("fault", reason))
         self._ended(reason, fault=True)
 
     def _ended(self, reason: str, finished: bool = False, fault: bool = False) -> None:
         """Publish the end, once."""
         with self._over:
-            if self._told_end:
+            if self._reported_end:
                 return
-            self._told_end = True
+            self._reported_end = True
         events: List[Event] = self._events.status(
             running=False, ended=reason, finished=finished, stalled="", fault=fault
         )

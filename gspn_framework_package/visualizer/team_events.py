@@ -187,9 +187,9 @@ class TeamEvents:
             seen = self._describe(state, robot)
             raw = (robot.data, robot.task, dict(robot.held), robot.resumed_from)
             if self._is_new(robot.name, raw):
-                told = displayed_robot(robot, self.net, brief=True)
+                reported = displayed_robot(robot, self.net, brief=True)
                 # data that a robot never had is not reported
-                seen.update({k: v for k, v in told.items() if v or (shown and shown.get(k))})
+                seen.update({k: v for k, v in reported.items() if v or (shown and shown.get(k))})
             if shown is None:
                 changed.append(seen)
                 self._robots[robot.name] = dict(seen)

@@ -237,8 +237,8 @@ class TeamWatch(Activity):
         self.run = run
         self._set_status(run=run)
         early, self._early = self._early, {}
-        for address, told in early.items():
-            self._on_activity(address, told)
+        for address, reported in early.items():
+            self._on_activity(address, reported)
 
     def _on_activity(self, address: str, activity: Dict[str, Any]) -> None:
         name = str(activity["robot"])
@@ -283,12 +283,12 @@ class TeamWatch(Activity):
                 self._note("info", str(order["robot"]), order_text(order))
         self._ordered_until[name] = max(known, newest)
 
-    def _show_end(self, told: Dict[str, Any]) -> None:
+    def _show_end(self, reported: Dict[str, Any]) -> None:
         self._set_status(
             running=False,
-            ended=told["ended"],
-            finished=told["finished"],
-            fault=told["fault"],
+            ended=reported["ended"],
+            finished=reported["finished"],
+            fault=reported["fault"],
             stalled="",
         )
 
@@ -459,7 +459,7 @@ class TeamWatch(Activity):
                 self._show_robot(name, phase=phase, place=seen.place)
         nobody = [name for name in shown if name not in self._follower.robots and name not in heard]
         if nobody:
-            self._shown = {n: told for n, told in self._shown.items() if n not in nobody}
+            self._shown = {n: reported for n, reported in self._shown.items() if n not in nobody}
             self._hub.publish({"k": "robots", "r": [], "gone": nobody})
 
     def _compare_with_team(self, comparison: LiveComparison) -> None:
@@ -526,8 +526,8 @@ class TeamWatch(Activity):
             if silent or phase.gone or was.gone:  # a robot that left cannot report it
                 self._show_robot(robot["robot"], phase=phase, why=robot["waits_for"])
             self._show_extras(robot)
-        told = status.get("breakpoints", {})
-        names = [*told.get("places", ()), *told.get("transitions", ())]
+        reported = status.get("breakpoints", {})
+        names = [*reported.get("places", ()), *reported.get("transitions", ())]
         if self._hub.info.get("breakpoints", []) != names:
             self._hub.change_info(breakpoints=names)
         if "data" in status:
@@ -558,15 +558,17 @@ class TeamWatch(Activity):
             event: Event = {"k": "robots", "r": [{"name": name, **changed}], "gone": []}
             self._hub.publish(event)
 
-    def _show_extras(self, told: Dict[str, Any]) -> None:
+    def _show_extras(self, reported: Dict[str, Any]) -> None:
         """Show the data, task and held events of a robot, if it has had any."""
-        shown = self._shown.get(told["robot"], {})
-        known: List[str] = [k for k in ("data", "task", "held", "resumed_from") if k in told]
-        new = {k: told[k] for k in known if told[k] or shown.get(k)}
+        shown = self._shown.get(reported["robot"], {})
+        known: List[str] = [k for k in ("data", "task", "held", "resumed_from") if k in reported]
+        new = {k: reported[k] for k in known if reported[k] or shown.get(k)}
         new = {k: v for k, v in new.items() if shown.get(k) != v}
         if new:
-            self._shown.setdefault(told["robot"], {"name": told["robot"]}).update(new)
-            self._hub.publish({"k": "robots", "r": [{"name": told["robot"], **new}], "gone": []})
+            self._shown.setdefault(reported["robot"], {"name": reported["robot"]}).update(new)
+            self._hub.publish(
+                {"k": "robots", "r": [{"name": reported["robot"], **new}], "gone": []}
+            )
 
     def _set_status(self, **fields: Any) -> None:
         changed = {k: v for k, v in fields.items() if self._status.get(k) != v}

@@ -1,5 +1,5 @@
-"""What would change if robots, or one of them, were slower, more, or called away more often: bands
-of firings, in a first look that follows a slider, and in a simulation that takes some seconds; and
+"""Predicts bands of firings for more robots, or for robots that are slower or called away more
+often: in a first look that follows a slider, and in a simulation that takes some seconds; and
 the exact mean, where the Markov chain is small enough.
 
 Both bands come from the same simulation of the plan (:mod:`~.analysis.monitoring.prediction`). The
@@ -64,7 +64,7 @@ class WhatIf(NamedTuple):
     each: Mapping[str, float]
 
     def apply(self, plan: Plan) -> Plan:
-        """The changed plan, which runs without end. :raises PlanError: it cannot have so many
+        """The changed plan, which runs without end. :raises PlanError: it cannot have that many
         robots."""
         times: Dict[str, float] = {}
         rates = dict(self.rates)
@@ -145,7 +145,8 @@ def what_if_in_form(fields: RequestFields, plan: Plan) -> WhatIf:
         if not isinstance(given, dict) or not set(given) <= set(known[key]):
             raise UsageError("'%s' names what cannot be changed" % key)
         factors_of = {name: factor(value) for name, value in given.items()}
-        # times that stay as they are make no robot differ from others, which the chain cannot tell
+        # times that stay as they are do not make robots differ, and the chain cannot distinguish
+        # robots
         return {name: number for name, number in factors_of.items() if number != 1}
 
     robots = whole_field(fields, "robots", known["robots"], 1, max(20, 3 * known["robots"]))

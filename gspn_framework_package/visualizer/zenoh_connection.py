@@ -99,7 +99,7 @@ class ZenohConnection:
         self._seen: Callable[..., None] = lambda *_: None
         self._lock = threading.Lock()
         self._found: Set[str] = set()
-        self._told: Dict[str, float] = {}
+        self._reported: Dict[str, float] = {}
         self._watch = ZenohWatch(access, run, Sights(self._on_fired, self._on_activity))
         self.orders = self._watch.operator.gives_orders
 
@@ -134,9 +134,9 @@ class ZenohConnection:
     def report(self, text: str) -> None:
         """See :class:`TeamConnection`."""
         now = time.monotonic()
-        if now - self._told.get(text, -QUIET) >= QUIET:
-            self._told = {t: at for t, at in self._told.items() if now - at < QUIET}
-            self._told[text] = now
+        if now - self._reported.get(text, -QUIET) >= QUIET:
+            self._reported = {t: at for t, at in self._reported.items() if now - at < QUIET}
+            self._reported[text] = now
             print(text, file=sys.stderr, flush=True)
 
     def report_departures(self, plan: Plan, run: str, found: Departures) -> None:

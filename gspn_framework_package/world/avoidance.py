@@ -209,7 +209,7 @@ def brake(grid: Grid, pose: Pose, speed: float, dt: float, peers: Sequence[Other
 def _stays_clear(pose: Pose, there: Point, peer: OtherRobot, dt: float, least: float) -> bool:
     before = pose.distance(peer.pose)
     after = peer.pose.distance(there)
-    # In this time the other robot moves too, at worst straight at us. One that stands but is active
+    # The other robot also moves, at worst straight at us. One that is stationary but active
     # may start at any moment.
     coming = max(peer.speed, 0.1 if peer.active else 0.0) * dt * 1.2
     if after - coming >= least:

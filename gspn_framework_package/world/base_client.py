@@ -267,7 +267,7 @@ def carry_out(
 ) -> Optional[str]:
     """Run the steps of an action until it ends or is cancelled; the feedback is the elapsed time in
     seconds."""
-    start, told, said = client.now(), -1, ""
+    start, reported, said = client.now(), -1, ""
     while not rospy.is_shutdown():
         if is_cancelled():
             break
@@ -276,8 +276,8 @@ def carry_out(
         except StopIteration as done:
             return done.value
         seconds = int(client.now() - start)
-        if seconds != told:
-            told = seconds
+        if seconds != reported:
+            reported = seconds
             feedback(seconds)
         if text.partition(",")[0] != said.partition(",")[0]:
             said = text

@@ -42,7 +42,7 @@ with quiet(2):
 
 
 def call_apart(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function in a process of its own, since PyBullet ends the process where a mesh is not
+    """Call a function in a separate process, since PyBullet ends the process where a mesh is not
     what it expects.
 
     :param function: of a module; its temporary files are removed even if its process is ended.
@@ -59,7 +59,7 @@ def call_apart(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def _begin_process(folder: str) -> None:
-    faulthandler.disable()  # it would tell of the crash
+    faulthandler.disable()  # it would report the crash
     tempfile.tempdir = folder
 
 

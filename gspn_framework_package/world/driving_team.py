@@ -111,7 +111,7 @@ class DrivingTeam:
             self.people = self._walkers()
 
     def close_doors(self, names: Sequence[str]) -> None:
-        """Close these doors, and open all others; robots and people find their ways anew."""
+        """Close these doors, and open all others; robots and people replan their paths."""
         for name in self.room.doors:
             self.physics.place_door(name, name in names)
         self._closed = tuple(names)

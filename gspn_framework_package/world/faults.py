@@ -208,7 +208,7 @@ class Faults:
         self._physics.carry(robot, to)
 
     def _move_doors(self, people: Sequence[Walker]) -> None:
-        """Open the doors that shall be open; close the others as soon as nobody stands there."""
+        """Open the doors that must be open; close the others as soon as nobody stands there."""
         closed = tuple(
             name
             for name in self._room.doors

@@ -34,7 +34,7 @@ class GazeboServices:
     ``delete_model``, and publishes ``model_states``.
 
     :param hand_off: runs a function in the world's thread and returns when it has.
-    :param reset: puts the robots back, and the time too if its argument says so.
+    :param reset: puts the robots back, and also resets the time if its argument requests it.
 
     :ivar paused: whether the world is to stand still.
     """
@@ -89,7 +89,7 @@ class GazeboServices:
         return serve
 
     def _model_server(self, kind: Any, answer: Callable[[Any, Any], None]) -> Callable[[Any], Any]:
-        """A service whose answer says by itself whether it did what was asked."""
+        """A service whose answer says whether it did what was asked."""
 
         def serve(request: Any) -> Any:
             response = kind._response_class()

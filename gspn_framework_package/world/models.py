@@ -84,7 +84,7 @@ class Models:
         return self._models[name].placed
 
     def seen_from(self, frame: str, placed: Placed) -> Placed:
-        """What is in the map, in the frame of a robot or model.
+        """A pose of the map, in the frame of a robot or model.
 
         :raises ValueError: there is no such frame.
         """
@@ -100,7 +100,7 @@ class Models:
         return Placed(Pose(x, y, yaw), placed.height - other.height, (vx, vy, turn))
 
     def in_map(self, frame: str, placed: Placed) -> Placed:
-        """What is in the frame of a robot or model, in the map. :raises ValueError: no frame."""
+        """A pose in the frame of a robot or model, in the map. :raises ValueError: no frame."""
         if frame in WORLD_FRAMES:
             return placed
         other = self.placed(frame)

@@ -2,7 +2,7 @@
 
 It behaves like move_base (a new goal preempts the old one; blocked and unreachable goals are
 aborted with a reason), so that plan actions need not know whether the robot is real. It has the
-topic for goals without an action client, and the services to plan a path and to plan anew.
+topic for goals without an action client, and the services to plan a path and to replan.
 """
 
 from __future__ import annotations

@@ -166,7 +166,7 @@ class Walker:
 
 
 def _distance_to_line(pose: Pose, start: Point, end: Point) -> float:
-    """Metres from a robot to a straight way."""
+    """Distance (m) from a robot to a straight path."""
     dx, dy = end[0] - start[0], end[1] - start[1]
     part = ((pose.x - start[0]) * dx + (pose.y - start[1]) * dy) / (dx * dx + dy * dy)
     part = min(max(part, 0.0), 1.0)

@@ -34,7 +34,7 @@ _GRAVITY = 9.81
 
 
 class Sensing(NamedTuple):
-    """What the robots publish, and how exactly.
+    """The topics that robots publish, and their accuracy.
 
     :ivar navigation: serve ``move_base``.
     :ivar localisation: publish ``amcl_pose``, and where the odometry is in the map.

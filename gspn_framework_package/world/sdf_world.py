@@ -110,7 +110,7 @@ def _read_model(model: etree._Element, place: ShapePlace, notes: List[str]) -> L
             geometry = child(collision, "geometry")
             shapes = [] if geometry is None else [shape for shape in geometry if tag(shape)]
             if len(shapes) != 1:
-                raise there.error("it has not one geometry", collision)
+                raise there.error("it must have exactly one geometry", collision)
             found = read_shape(shapes[0], there)
             if found is None:
                 notes.append("%s: robots pass under or over it" % ", ".join(there.names))

@@ -1,6 +1,6 @@
 """Solid shapes of world and robot files, as the boxes and cylinders of a room.
 
-Upright boxes and cylinders are read as they are, and a sphere as the cylinder that a robot could
+Upright boxes and cylinders are read without change, and a sphere as the cylinder that a robot could
 touch. Everything else, also meshes, becomes small boxes where PyBullet's rays hit it at the heights
 of a robot.
 """
@@ -115,7 +115,7 @@ def matrix(x: float, y: float, z: float, roll: float, pitch: float, yaw: float) 
 
 
 def numbers_in(element: etree._Element, count: int, place: ShapePlace) -> List[float]:
-    """The numbers in an element. :raises InputError: there are not so many finite ones."""
+    """The numbers in an element. :raises InputError: there are fewer finite ones."""
     words = (element.text or "").split()
     try:
         values = [float(word) for word in words]
@@ -181,7 +181,7 @@ def _out_of_reach(bottom: float, top: float) -> bool:
 def _read_mesh(shape: etree._Element, place: ShapePlace) -> Optional[List[Obstacle]]:
     part = child(shape, "submesh")
     if part is not None:
-        raise place.error("<submesh> is not read", part, "save the part as a file of its own")
+        raise place.error("<submesh> is not read", part, "save the part as its own file")
     file = os.path.abspath(resolve(text_of(shape, "uri") or "", place, shape))
     element = child(shape, "scale")
     scale = (1.0, 1.0, 1.0) if element is None else tuple(numbers_in(element, 3, place))

@@ -56,7 +56,7 @@ class ShopNode:
         for name in robots:
             topic, kind = "/%s/amcl_pose" % name, PoseWithCovarianceStamped
             rospy.Subscriber(topic, kind, self._on_pose, name, queue_size=1)
-        self._told = 0.0
+        self._reported = 0.0
 
     def _on_pose(self, message: Any, robot: str) -> None:
         pose = pose_from(message.pose.pose)
@@ -69,8 +69,8 @@ class ShopNode:
         is_open = not self._orders_for or since < self._orders_for
         for order in self._shop.orders(since, is_open):
             self._orders.publish(String(json.dumps(order.to_json())))
-        if now - self._told >= BATTERY_PERIOD:
-            self._told = now
+        if now - self._reported >= BATTERY_PERIOD:
+            self._reported = now
             with self._lock:
                 poses = dict(self._poses)
             for robot, pose in poses.items():

@@ -40,7 +40,7 @@ class UrdfJoint:
 
 @dataclass(frozen=True)
 class Urdf:
-    """What a file says.
+    """The content of a file.
 
     :param file: its name.
     :param root: its element ``<robot>``.
@@ -148,7 +148,7 @@ def numbers(
     """The numbers of an attribute.
 
     :param named: the element that an error names.
-    :raises InputError: there are not so many finite ones.
+    :raises InputError: there are fewer finite ones.
     """
     try:
         values = [float(word) for word in element.get(key, default).split()]
@@ -243,7 +243,7 @@ def collision_shapes(urdf: Urdf, pose: np.ndarray) -> List[Tuple[etree._Element,
             geometry = child(collision, "geometry")
             shapes = [] if geometry is None else [e for e in geometry if isinstance(e.tag, str)]
             if len(shapes) != 1:
-                raise urdf.error("a <collision> has not one geometry", link)
+                raise urdf.error("a <collision> must have exactly one geometry", link)
             (shape,) = shapes
             there = pose @ urdf.poses[name] @ _origin(urdf, collision, link)
             written = etree.Element(tag(shape))

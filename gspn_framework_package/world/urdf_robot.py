@@ -94,7 +94,7 @@ def _wheel(urdf: Urdf, name: str) -> UrdfJoint:
         raise InputError(
             "it has no joint '%s'" % name,
             file=urdf.file,
-            hint="wheel_joints under robot in the room file names the left and the right wheel",
+            hint="wheel_joints under robot in the room file must name the left and the right wheel",
         )
     if joint.kind not in ("continuous", "revolute"):
         raise urdf.error("it does not turn: its type is '%s'" % joint.kind, joint.element)
@@ -210,7 +210,7 @@ def _load(client: Any, urdf: Urdf, kind: RobotType, pose: Pose) -> int:
 
 
 def _try_loading(urdf: Urdf, kind: RobotType) -> None:
-    """Load it on trial. :raises InputError: PyBullet does not load it, or not as it is meant."""
+    """Load it on trial. :raises InputError: PyBullet does not load it, or loads it incorrectly."""
     for link in urdf.links.values():
         for mesh in link.iter("mesh"):
             fault = fault_of_mesh(str(mesh.get("filename")))

@@ -49,7 +49,7 @@ KINDS = {
     "power": "every crash is a loss of power, which takes what was not written through to the disk",
     "outage": "several machines, or all, lose power at about the same time, and with it the newest "
     "records; some end in order before",
-    "trust": "all machines lose power, some stay off, the operator has the others go on, and then "
+    "trust": "all machines lose power, some stay off, the operator has the others continue, and then "
     "the rest comes back",
     "spare": "a second process under the name of a robot that is out of reach, or comes back",
     "stand-in": "a spare answers under the name of a robot that is out of reach, and is switched "
@@ -857,7 +857,7 @@ class _Run:
 
     def _trust_who_knows(self, patience: float) -> bool:
         """Where a robot whose machine lost power says that the team is stuck, the operator switches
-        off those without a log, and has the others go on; returns whether they do."""
+        off those without a log, and has the others continue; returns whether they do."""
         world = self.world
         asking = [n for n in world.alive() if n.replica and n.replica.is_stuck()]
         asking = [n for n in asking if n.replica and n.replica.state.torn]

@@ -225,7 +225,7 @@ MUTANTS: Sequence[Mutant] = (
         "OneLifeActs",
     ),
     Mutant(
-        "a robot goes on voting after another log was let in",
+        "a robot continues voting after another log was let in",
         "is_our_name(p, s) == s.ledger.logs[name(p)] \\in {NONE, s.log_id}",
         "is_our_name(p, s) == TRUE",
         "small_two_spare",

@@ -208,7 +208,8 @@ class Notes:
     ) -> None:
         """Add a step of a robot, which then knew this, with so many records in its log.
 
-        :param ids: the logs from which another robot goes on after a loss of power, the newest first.
+        :param ids: the logs from which another robot continues after a loss of power, the newest
+            first.
         """
         self.ended = self.ended or any(isinstance(item.entry, self.beyond) for item in items)
         if self.ended:

@@ -310,5 +310,5 @@ def test_a_run_is_shown_beside_its_prediction(show_net, open_page, axe, picture)
     assert page.locator(".alarm").count() == 1
     page.click(".alarm")
     page.wait_for_selector("#dialog[open]:has-text('all robots together: slower')")
-    page.wait_for_selector("#dialog:has-text('from what began since: +20 to +41 %')")
+    page.wait_for_selector("#dialog:has-text('Estimated change since then: +20 to +41 %')")
     page.keyboard.press("Escape")

@@ -392,7 +392,7 @@ def test_properties_of_what_is_selected(editor, axe, picture):
         "high": 4.5,
     }
     enter(page, "plan.durations.Fetch.low", "9")
-    page.wait_for_selector("#ed-properties .wrong:has-text('low is below high')")
+    page.wait_for_selector("#ed-properties .wrong:has-text('low must be below high')")
     assert state(page)["plan"]["durations"]["Fetch"]["low"] == 1.5
     plan_of(state(page))
 

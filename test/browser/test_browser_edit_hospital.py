@@ -102,7 +102,7 @@ def complete(hand):
     hand.key("Tab")
     hand.click("#ed-tab-checks")
     # robots do nothing where no action is mapped: in the dock, and on their way back
-    hand.click("#ed-findings button:has-text('Mend it: no action there')")
+    hand.click("#ed-findings button:has-text('Fix it: no action there')")
     page.wait_for_selector("#ed-verdict[data-state='checked']")
 
 

@@ -104,7 +104,7 @@ def test_durations_with_too_many_phases_have_answers_with_intervals(show_net, op
         page.wait_for_selector("#answers details:has-text('%s')" % title)
         analysed(page)
         text = page.inner_text("#answers")
-        assert "In brackets: what the answers may be, since durations are replaced." in text
+        assert "In brackets: the intervals of the answers, since durations are replaced." in text
         assert re.search(r"\d\s\(\d[^)]*(–| to )\d", text)
         assert "was replaced by phases of the same mean: Erlang" in text
 

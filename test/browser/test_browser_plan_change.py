@@ -1,5 +1,5 @@
-"""A run that goes on under another plan, in a browser: the net, the lists and the time line are those
-of the moment shown."""
+"""A run that continues under another plan, in a browser: the net, the lists and the time line are
+those of the moment shown."""
 
 from deployed_log import write_deployed_log
 from page_reading import marking, settle

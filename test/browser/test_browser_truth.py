@@ -63,7 +63,7 @@ def test_names_of_the_language_are_names_and_reasons_are_those_of_the_rules(show
 
 
 def serve(folder, port):
-    """``gspn serve`` as a process of its own, that can be killed."""
+    """``gspn serve`` as a separate process, that can be killed."""
     command = [
         sys.executable,
         "-m",

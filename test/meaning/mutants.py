@@ -1137,7 +1137,7 @@ _TABLE: Sequence[Any] = (
     (
         "all at rest",
         "run",
-        "the run goes on",
+        "the run continues",
         ["at_rest"],
         (
             T.settle,
@@ -1148,7 +1148,7 @@ _TABLE: Sequence[Any] = (
     (
         "all at rest",
         "simulation",
-        "the run goes on",
+        "the run continues",
         ["at_rest"],
         (
             K.play,
@@ -1159,7 +1159,7 @@ _TABLE: Sequence[Any] = (
     (
         "all at rest",
         "chain",
-        "the run goes on",
+        "the run continues",
         ["at_rest"],
         (N.has_ended, "any(robots) and", "False and"),
     ),

@@ -100,7 +100,7 @@ class SolvedChain:
     :raises EndlessError: robots may move for ever in zero time.
 
     :ivar markings: the marking of each state in which time passes.
-    :ivar lasts: boolean array: whether the run goes on in the state.
+    :ivar lasts: boolean array: whether the run continues in the state.
     :ivar rates: matrix of rates (1/s) from state to state.
     :ivar fires: matrix: firings per second of each transition, by state.
     :ivar initial: the probability that a run begins in each state, once no more happens at once.

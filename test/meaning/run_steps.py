@@ -155,7 +155,7 @@ class _OneFiring(_Reducer):
             yield item
 
     def _kind(self, name: Any) -> Any:
-        """What it depends on how a robot goes on; a number is a kind of its own."""
+        """What it depends on how a robot continues; a number is a kind of its own."""
         if not isinstance(name, str):
             return name
         robot = self.state.robots[name]

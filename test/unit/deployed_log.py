@@ -1,4 +1,4 @@
-"""The event log of a run that goes on under two further plans, made without threads."""
+"""The event log of a run that continues under two further plans, made without threads."""
 
 from __future__ import annotations
 

@@ -36,12 +36,12 @@ def test_each_aim_can_be_asked_for():
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ([], "there is no aim"),
+        ([], "no aim is given"),
         (["--reward", "go"], "write NAME=NUMBER"),
         (["--reward", "go=fast"], "write NAME=NUMBER"),
         (["--reward", "go=1", "--reward", "go=2"], "names 'go' twice"),
-        (["--reach", "a", "--mean-time-to", "b"], "are two aims"),
-        (["--reach", "a", "--discount", "1"], "are two aims"),
+        (["--reach", "a", "--mean-time-to", "b"], "exclude each other"),
+        (["--reach", "a", "--discount", "1"], "exclude each other"),
         (["--reach", "a", "--reward", "go=1"], "has no rewards"),
         (["--mean-time-to", "a", "--minimise"], "minimised in any case"),
     ],

@@ -35,7 +35,7 @@ def own_folder(tmp_path, monkeypatch):
 
 @pytest.fixture
 def started(tmp_path):
-    """Starts ``gspn run`` in a process of its own."""
+    """Starts ``gspn run`` in a separate process."""
     processes = []
 
     def start(*words):

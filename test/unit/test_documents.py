@@ -378,8 +378,8 @@ def _lines(document: Path, *starts: str) -> List[str]:
 
 
 def test_teams_anywhere_typed_in_terminals(sandbox, tmp_path):
-    """Every line that needs no ROS: routers and robots go on in terminals of their own, and end as
-    they should."""
+    """Every line that needs no ROS: routers and robots continue in terminals of their own, and end
+    as they should."""
     pytest.importorskip("zenoh")
     with socket.socket() as found:
         found.bind(("127.0.0.1", 0))

@@ -65,4 +65,4 @@ def test_what_the_places_and_transitions_of_a_run_net_stand_for(capsys):
 
 def test_a_run_net_plays_no_transitions(capsys):
     assert main(["explain", str(PLANS / "tokens"), "t1", "--run-net"]) == 2
-    assert "--run-net plays no transitions" in capsys.readouterr().err
+    assert "--run-net fires no transitions" in capsys.readouterr().err

@@ -24,7 +24,12 @@ def test_what_was_learned_is_improved_checked_and_written(logged, capsys):
     assert main(words.split()) == 0
     out = capsys.readouterr().out
     assert "it would gain" in out.splitlines()[-1] or "the gain is not known" in out
-    for title in ("Learned from", "The runs beside", "The computed policy", "What the check says"):
+    for title in (
+        "Learned from",
+        "The runs compared",
+        "The computed policy",
+        "Findings of the check",
+    ):
         assert "== " + title in out
     plan, learned = read_plan("round"), read_plan("better.json")
     assert learned.net.places == plan.net.places and learned.durations != plan.durations

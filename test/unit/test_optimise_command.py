@@ -46,7 +46,7 @@ def test_without_a_name_nothing_is_written(tmp_path, capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        ([], 2, "there is no aim"),
+        ([], 2, "no aim is given"),
         (["--reward", "nothing=1"], 2, "'nothing', which is neither a place nor a transition"),
         (["--reward", "x*=1"], 2, "nothing in the net matches 'x*'"),
         (["--mean-time-to", "p1 =="], 2, "p1"),

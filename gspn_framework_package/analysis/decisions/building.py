@@ -337,7 +337,7 @@ def build_automaton(stages: Stages, may_wait: Booleans, waits: Booleans) -> Buil
     decided = np.flatnonzero((kinds == Stage.DECIDED) & (stage[sources] == Stage.DECIDED))
     levels = stages.priorities[stages.labels[decided]]
     top = levels == stages.highest(decided, levels)[sources[decided]]
-    apart = _told_apart(stages)
+    apart = _distinguished(stages)
     mixed = np.flatnonzero(((kinds == Stage.NAMED) | (kinds == Stage.DECIDED)) & apart[sources])
     arc_row = np.full(len(kinds), -1, dtype=np.int64)
     for arcs, allowed in ((decided, top), (mixed, np.zeros(len(mixed), dtype=bool))):
@@ -387,7 +387,7 @@ def build_automaton(stages: Stages, may_wait: Booleans, waits: Booleans) -> Buil
     )
 
 
-def _told_apart(stages: Stages) -> Booleans:
+def _distinguished(stages: Stages) -> Booleans:
     """The states in which chance decides but the present policy may do otherwise: robots that are
     left to the weights, or to the policy, are among those that move or choose who moves."""
     found = stages.has(np.flatnonzero(stages.kinds == Stage.DECIDED))

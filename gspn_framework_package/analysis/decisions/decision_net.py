@@ -63,7 +63,7 @@ class GroupMember(NamedTuple):
 
 
 class Group(NamedTuple):
-    """Robots that ask alike.
+    """Robots whose requests are identical.
 
     :ivar step: the kind of the steps that they ask for.
     :ivar place: the place of the decision net that counts them.
@@ -259,7 +259,7 @@ class DecisionNet:
         tokens = self._source.places[p].tokens
         number = next(i for i, place in enumerate(self._places) if place.name == entry)
         self._places[number] = self._places[number]._replace(tokens=tokens)
-        # a robot that acts before it asks, or comes to rest, is as far as it can be after that
+        # a robot that acts before it asks, or stops, has then completed its last step
         goes_on = columns.asking != NO_COLUMN or columns.inactive != NO_COLUMN
         early = [*doing[0 if goes_on else 1 :], *arriving, *columns.named.values()]
         self.resting += [of[column] for column in early]

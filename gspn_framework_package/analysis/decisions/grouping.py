@@ -81,11 +81,11 @@ def present_choices(team: SizedTeam) -> Decided:
     table = _Table(team)
     problem = team.problem
     net = problem.plan.net
-    told = answers_of(problem.plan, problem.plan.policy, problem.stages)
+    reported = answers_of(problem.plan, problem.plan.policy, problem.stages)
     states = team.states_in[_first_states(team)]
     chosen: List[Dict[int, float]] = [{} for _ in range(len(team.distinct))]
     for p in table.asking:
-        numbers, answers = told.of(p, states)
+        numbers, answers = reported.of(p, states)
         leaving = net.immediate_from[p]
         enabled = {t: table.enabled[t] for t in leaving}
         for g in np.flatnonzero(table.asks[p]).tolist():
@@ -360,7 +360,7 @@ class Grouping:
         if len(torn):
             notes.append(
                 "in %d markings, states that a policy does not distinguish would decide "
-                "differently; they decide alike" % len(torn)
+                "differently; they decide the same way" % len(torn)
             )
             found, chosen = self._improved(found, chosen, torn, worth)
         if found is None:

@@ -231,21 +231,21 @@ class _Exactly:
     def _wide(self, answer: TeamSolution) -> List[str]:
         """The remark if, according to the interval, the policy may not be optimal."""
         missed = [constraint for constraint in answer.constraints if not constraint.kept]
-        told = [
+        reported = [
             "whether '%s' can be kept by a policy that sees only the marking: this one has %.6g of "
             "%g" % (constraint.name, constraint.value or 0.0, constraint.bound or 0.0)
             for constraint in missed
         ]
         if self._request.uncertain:
-            return [*told, *self._open(answer)]
+            return [*reported, *self._open(answer)]
         value = answer.grouped.evaluated.value
         best = answer.upper if self._objective.maximise else answer.lower
         scale = max(abs(value), abs(best))
         gap = abs(best - value)
         if gap <= 2 * self._request.width * scale:
-            return told
+            return reported
         return [
-            *told,
+            *reported,
             *answer.grouped.notes,
             "whether another policy is better, by at most %.2g %%: the bound is that of policies "
             "that also see which robots are done, and randomise among all that robots could do"
@@ -345,7 +345,7 @@ class _Exactly:
             before = present.get(tuple(marking), {})
             key = (*before.items(), ("", 0.0), *best.items())
             if key not in known:
-                known[key] = _told(before, best, leaving)
+                known[key] = _reported(before, best, leaving)
             for place, old, new in known[key]:
                 if not marking[net.place_index[place]]:
                     continue
@@ -395,7 +395,7 @@ _Told = Tuple[str, Mapping[str, float], Mapping[str, float]]
 """A place, and the choices for it by the old and by the new policy."""
 
 
-def _told(
+def _reported(
     before: Mapping[str, float], best: Mapping[str, float], leaving: Mapping[str, AbstractSet[str]]
 ) -> List[_Told]:
     """The places to which at least one of two sets of choices applies."""

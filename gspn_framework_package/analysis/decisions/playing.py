@@ -78,7 +78,7 @@ class _Askers(NamedTuple):
     """The robots of a group, in the states in which one of their requests can fire.
 
     :ivar states: these states.
-    :ivar robots: how many they are.
+    :ivar robots: their number.
     :ivar levels: the priority of their requests.
     :ivar able: the probability that a robot asks for something that can fire.
     :ivar arcs: what can fire.
@@ -116,7 +116,7 @@ class _Player:
         draws_last: bool,
     ) -> None:
         self._plan = plan
-        self._told = answers
+        self._reported = answers
         self._stages = stages
         self._draws_last = draws_last
 
@@ -203,7 +203,7 @@ class _Player:
         number = np.full(len(stages), -1, dtype=np.int64)
         number[states] = np.arange(len(states))
         of_arc = number[stages.sources[arcs]]
-        answer, answers = self._told.of(group.at, states)
+        answer, answers = self._reported.of(group.at, states)
         leaving = list(net.immediate_from[group.at])
         local = np.full(len(net.transitions), -1, dtype=np.int64)
         local[leaving] = np.arange(len(leaving))

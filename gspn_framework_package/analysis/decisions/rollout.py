@@ -53,7 +53,7 @@ ROUNDS = 5
 """Largest number of rounds of improvement."""
 
 SIGNIFICANCE = 0.05
-"""Probability that a round adopts a row that is no better, over all its candidates."""
+"""Probability that a round adopts a row that is not better, over all its candidates."""
 
 ROLLOUT_VISITS = 1500
 """Largest number of decisions considered in a round."""

@@ -37,7 +37,7 @@ model = stormpy.build_model_from_drn(sys.argv[1])
 (formula,) = stormpy.parse_properties(sys.argv[2])
 print(stormpy.model_checking(model, formula).get_value(model.initial_states[0]))
 """
-"""In a process of its own, which can be ended."""
+"""Runs Storm in a separate process, which can be ended."""
 
 
 def check_storm(request: Request) -> None:

@@ -249,7 +249,7 @@ def with_day(plan: Plan, fit: ArrivalsFit, logs: Sequence[str]) -> Plan:
     time, as long on average as its hours.
 
     An arrival keeps its transition, with its lowest rate of the day, so that in a run everything
-    comes in as before; what comes besides in a period has a transition of its own.
+    comes in as before; what comes besides in a period has its own transition.
 
     :param logs: the names of the logs, for the evidence.
     :raises NetError: the net has such a place or transition already.

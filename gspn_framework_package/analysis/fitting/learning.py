@@ -137,8 +137,8 @@ class FitReport(NamedTuple):
         :param within: what half of a 95 % interval may be: as a share of a mean duration or a
             rate, or the difference of a probability.
         """
-        told = self.places, self.rates, self.unseen, self.rare, self.arrivals, self.robot_seconds
-        return list(find_needs(*told, within))
+        shown = self.places, self.rates, self.unseen, self.rare, self.arrivals, self.robot_seconds
+        return list(find_needs(*shown, within))
 
     def to_json(self, within: float = WITHIN) -> Dict[str, Any]:
         """The report as a JSON object; ``within`` as in :meth:`needs`."""
@@ -284,8 +284,8 @@ class _Learning:
         for place, of_place in learned.items():
             places[place] = of_place.found
             self.notes += of_place.notes
-            for kind, told in of_place.doubts.items():
-                self._doubts.setdefault(kind, []).extend(told)
+            for kind, shown in of_place.doubts.items():
+                self._doubts.setdefault(kind, []).extend(shown)
         unseen = [
             place
             for place in self.plan.action_places

@@ -1,8 +1,7 @@
-"""What logs are too short for: what was not learned, or not exactly enough, and how much more log
-that needs.
+"""Lists what was not learned from logs, or not exactly enough, and how much more log it needs.
 
 The width of an interval shrinks with the square root of the number of observations, and these grow
-with the log, as long as robots go on like this.
+with the log, as long as robots continue like this.
 """
 
 from __future__ import annotations
@@ -62,7 +61,7 @@ class Need(NamedTuple):
                 self.needed,
             )
         if self.robot_seconds is None:
-            return "%s: %s; the logs do not tell how long that takes" % (name, known)
+            return "%s: %s; the logs do not show how long that takes" % (name, known)
         return "%s: %s: %s more" % (name, known, _robot_time(self.robot_seconds))
 
 
@@ -81,7 +80,7 @@ def find_needs(
     robot_seconds: float,
     within: float,
 ) -> Iterator[Need]:
-    """What the logs are too short for.
+    """Everything for which the logs are too short.
 
     :param places: place -> its :class:`~.learning.PlaceFit`.
     :param rates: transition -> its :class:`~.learning.EventFit`.

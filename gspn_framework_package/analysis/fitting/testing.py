@@ -151,13 +151,13 @@ class EventFit(NamedTuple):
 
 
 def outcome_fit(count: int, total: int) -> OutcomeFit:
-    """What ``count`` of ``total`` trials say about a probability."""
+    """The estimate of a probability from ``count`` of ``total`` trials."""
     share = count / total if total else 0.0
     return OutcomeFit(count, total, share, wilson(count, total))
 
 
 def event_fit(count: int, exposure: float) -> EventFit:
-    """What ``count`` events in the time ``exposure`` (s, above 0) say about their rate."""
+    """The estimate of a rate from ``count`` events in the time ``exposure`` (s, above 0)."""
     return EventFit(count, count / exposure, rate_interval(count, exposure))
 
 
@@ -185,7 +185,7 @@ def groups_differ(samples: Sequence[Sample], like: Duration) -> float:
 
 def outcomes_depend(durations: Sequence[Sequence[float]]) -> float:
     """The p-value of the rank test of Kruskal and Wallis that the durations of different outcomes
-    are alike, as they are in a race of exponential transitions.
+    have the same distribution, as they are in a race of exponential transitions.
 
     :param durations: the durations of each outcome, at least one for each.
     """

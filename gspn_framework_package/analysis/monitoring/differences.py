@@ -89,5 +89,5 @@ def difference(name: str, unit: str, old: Optional[Ratio], new: Optional[Ratio])
 
 
 def per_window(totals: Any) -> Floats:
-    """What each window adds to totals, which are given at their ends."""
+    """The increase in each window of totals that are given at the ends of the windows."""
     return np.diff(np.asarray(totals, dtype=np.float64), axis=0, prepend=0)

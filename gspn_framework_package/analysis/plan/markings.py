@@ -166,7 +166,7 @@ class PlanMarkings:
         need = 1 if self.plan.strict else 2
         for p, leaving in self._decision_places():
             if not self.plan.strict and not self._table.rows_of(self.original(p)):
-                continue  # a subnet without a policy of its own
+                continue  # a subnet without its own policy
             yield from self._findings(self._silent(p, self._deciding(leaving, need)), p)
 
     def undecided_choices(self) -> Iterator[Finding]:
@@ -228,8 +228,8 @@ class PlanMarkings:
     # -- robots that wait for good -----------------------------------------------------------------
 
     def waiting_for_good(self, timeless: List[int]) -> Iterator[Tuple[str, Finding]]:
-        """Transitions that a robot can request in vain for ever while others go on for ever, each
-        with a marking of the whole team in which a robot in the finding's place does.
+        """Transitions that a robot can request in vain for ever while others continue for ever,
+        each with a marking of the whole team in which a robot in the finding's place does.
 
         The markings do not say what robots have requested. This is certain all the same: the
         marking is reached by firings that the plan's actions and policy ask for, and whatever
@@ -271,7 +271,7 @@ class PlanMarkings:
 
     def held_for_good(self, timeless: List[int]) -> Iterator[Finding]:
         """Markings of the whole team from which no robot ever leaves the finding's place, whatever
-        happens, while others go on for ever; one for each place that robots can leave.
+        happens, while others continue for ever; one for each place that robots can leave.
 
         So it is where robots wait for each other. It is certain as in :meth:`waiting_for_good`, but
         for losses: a robot that is lost may free the others.
@@ -381,7 +381,7 @@ class PlanMarkings:
         return [t.name for t, seen in zip(self.net.transitions[: self._own], fired) if not seen]
 
     def bounds(self) -> Dict[str, int]:
-        """The most tokens that each place holds in any visited marking."""
+        """The maximum number of tokens that each place holds in any visited marking."""
         return {
             place.name: int(self.space.column(p).max()) for p, place in enumerate(self.net.places)
         }

@@ -1,4 +1,4 @@
-"""What a policy says to robots in many markings at once."""
+"""Evaluates a policy in many markings at once."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from gspn_framework_package.model.policy_cell import cell_fits, ranges
 
 
 def may_lose_robots(plan: Plan, standalone: bool = False) -> bool:
-    """Whether the others can go on without a robot: who is not heard is evicted.
+    """Whether the others can continue without a robot: a robot that is not heard is evicted.
 
     :param standalone: the tokens are agents of one process, none of which is lost alone.
     """
@@ -136,7 +136,7 @@ def places_in_cycles(net: Net, transitions: List[int]) -> Set[int]:
 
 
 class PolicyCover:
-    """What the rows of a policy decide by themselves, without visiting markings."""
+    """What the rows of a policy imply without visiting markings."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan

@@ -181,7 +181,7 @@ class MarkingChecks:
 
     def _waits_decided(self, markings: PlanMarkings) -> bool:
         """Report by proofs and searches whether robots can wait for ever; return whether this is
-        decided. Where nothing at all can happen, all wait, which is reported by itself."""
+        decided. Where nothing at all can happen, all wait, which is reported separately."""
         if self._is_answered("dead_markings", markings) or any(
             item.check == "dead_markings" and "marking" in item.details for item in self._list.items
         ):
@@ -496,7 +496,7 @@ class MarkingChecks:
             self._list.add(
                 "waiting",
                 Severity.WARNING,
-                "a robot in %s that requests %s can wait forever while others go on: in %s, "
+                "a robot in %s that requests %s can wait forever while others continue: in %s, "
                 "reached by %s, %s can never fire; let nothing take away for good what it needs, "
                 'or let an event such as {"after": SECONDS} move the robot on'
                 % (
@@ -515,7 +515,7 @@ class MarkingChecks:
                 self._list.add(
                     "waiting",
                     Severity.WARNING,
-                    "a robot in %s can wait forever while others go on: in %s, reached by %s, "
+                    "a robot in %s can wait forever while others continue: in %s, reached by %s, "
                     "nothing that takes a robot from %s can ever fire; let nothing take away for "
                     "good what it needs"
                     % (

@@ -1,4 +1,4 @@
-"""What mends a finding of the check, where there is one obvious way."""
+"""The change that fixes a finding of the check, where there is one obvious way."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ file on, through its net and its policy wherever these are; in a list of nodes, 
 ``"-"`` is the end of a list."""
 
 MENDED_ROOM = 20
-"""Tokens that a place has room for once its growth is mended."""
+"""Tokens that a place has room for once its growth is bounded."""
 
 
 def mended(label: str, changes: Iterable[List[Any]]) -> Dict[str, Mend]:
@@ -72,7 +72,7 @@ def resources_given_back(plan: Plan) -> Dict[str, Mend]:
 
 
 def bounded(plan: Plan, places: Iterable[str]) -> Dict[str, Mend]:
-    """Each of these places has room for so many tokens and no more."""
+    """The change that gives each of these places a capacity."""
     return mended(
         "room for %d tokens" % MENDED_ROOM,
         (
@@ -99,7 +99,7 @@ def rows_for_all_markings(plan: Plan, places: Iterable[str]) -> Dict[str, Mend]:
 
 def missing_row(plan: Plan, finding: Finding) -> Dict[str, Mend]:
     """A row for the marking of a finding, which chooses by the weights of what can fire there, all
-    alike if there are no weights."""
+    equal if there are no weights."""
     place = finding.place
     if place is None or plan.policy.scopes or SEPARATOR in place:
         return {}
@@ -119,7 +119,7 @@ def missing_row(plan: Plan, finding: Finding) -> Dict[str, Mend]:
 
 
 def _shares(weights: Mapping[str, float]) -> Optional[Dict[str, float]]:
-    """Probabilities in proportion to weights, or alike if all are 0; None if nothing has one."""
+    """Probabilities in proportion to weights, or equal if all are 0; None if nothing has one."""
     total = sum(weights.values())
     found = {t: round(w / total if total else 1 / len(weights), 12) for t, w in weights.items()}
     return {t: 1 if share == 1 else share for t, share in found.items() if share} or None

@@ -51,7 +51,7 @@ class ReactingChecks:
             if plan.acts[p]
         ]
         if interrupting:
-            told = [
+            reported = [
                 "%s (%s) interrupts %s"
                 % (net.transitions[t].name, self._source(net.transitions[t].name), place)
                 for t, place in interrupting
@@ -59,7 +59,7 @@ class ReactingChecks:
             self._list.add(
                 "events",
                 Severity.OK,
-                "; ".join(told[:LISTED]) + _more(told),
+                "; ".join(reported[:LISTED]) + _more(reported),
                 events=[
                     {
                         "transition": net.transitions[t].name,
@@ -104,7 +104,7 @@ class ReactingChecks:
             )
 
     def _source(self, transition: str) -> str:
-        """What an event comes from, in words."""
+        """The source of an event, in words."""
         if transition in self.plan.cancellations:
             return "gspn cancel"
         return self.plan.events[transition].label

@@ -58,7 +58,7 @@ CheckStep = Callable[[str, int], None]
 
 
 MOST_VISITED = 1_000_000
-"""Most markings that the checker visits."""
+"""Maximum number of markings that the checker visits."""
 
 _UNREADABLE = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
@@ -72,9 +72,9 @@ class Problem(NamedTuple):
     :ivar is_bad: whether a marking is.
     :ivar fires: the transitions that may fire in a marking: fewer than the net enables, where
         priorities or a policy decide.
-    :ivar surely: says of some markings that every marking that follows, if what goes on by itself
+    :ivar surely: says of some markings that every marking that follows, if whatever is in progress
         ends, is bad; None if nothing quick says so.
-    :ivar settling: the transitions that end what goes on by itself.
+    :ivar settling: the transitions that end whatever is in progress.
     :ivar chosen: whether an enabled transition is one of ``fires``; None if nothing quicker says.
     :ivar robots: for each place whether it holds robots, if no reachable marking is bad where every
         one leads back to the first and that is not bad; otherwise nothing.
@@ -152,7 +152,7 @@ def fulfils(formula: Formula, marking: Sequence[int]) -> bool:
 
 
 def guard(net: Net, t: int) -> Tuple[Atom, ...]:
-    """What holds where transition number ``t`` is enabled, priorities aside."""
+    """The condition for transition number ``t`` to be enabled, regardless of priorities."""
     return (
         *(Atom(((p, 1),), weight) for p, weight in net.inputs[t]),
         *(Atom(((p, -1),), -most) for p, most in net.most_tokens(t)),
@@ -160,7 +160,7 @@ def guard(net: Net, t: int) -> Tuple[Atom, ...]:
 
 
 def opposite(formula: Formula) -> Formula:
-    """What holds exactly where the formula does not."""
+    """The negation of the formula."""
     if isinstance(formula, Atom):
         return Atom(tuple([(p, -weight) for p, weight in formula.terms]), 1 - formula.least)
     parts = tuple(map(opposite, formula.parts))
@@ -199,7 +199,7 @@ def breaking(problem: Problem, lemma: Some, known: Sequence[Formula], t: int) ->
 
 
 def _before(net: Net, lemma: Some, t: int) -> Some:
-    """What holds exactly where the lemma does after a firing of transition number ``t``."""
+    """The condition for the lemma to hold after a firing of transition number ``t``."""
     change = dict(net.effect(t))
     return Some(tuple(after(atom, change) for atom in lemma.parts))
 
@@ -331,7 +331,7 @@ def _visit(problem: Problem, number: Any) -> str:
 
 
 def after(formula: Formula, change: Dict[int, int]) -> Formula:
-    """What holds exactly where the formula does once the counts of places have changed."""
+    """The condition for the formula to hold after the counts of places have changed."""
     if isinstance(formula, Atom):
         weights = dict(formula.terms)
         more = sum(n * weights.get(p, 0) for p, n in change.items())
@@ -340,7 +340,7 @@ def after(formula: Formula, change: Dict[int, int]) -> Formula:
 
 
 def firing_in_turn(problem: Problem, names: Iterable[str]) -> Tuple[Formula, Dict[int, int]]:
-    """What holds where transitions can fire one after another, and how they change the counts."""
+    """The condition for transitions to fire one after another, and the change of the counts."""
     net = problem.net
     change: Dict[int, int] = {}
     guards: List[Formula] = []
@@ -355,8 +355,8 @@ def firing_in_turn(problem: Problem, names: Iterable[str]) -> Tuple[Formula, Dic
 
 
 def at_rest(problem: Problem, possible: Iterable[Formula], end: Sequence[int]) -> Problem:
-    """The question whether a marking other than ``end`` can be reached in which nothing goes on,
-    and nothing that is ``possible`` on a way."""
+    """The question whether a marking other than ``end`` can be reached in which nothing is in
+    progress, and nothing that is ``possible`` on a way."""
     net = problem.net
     other = [Atom(((p, 1),), n + 1) for p, n in enumerate(end)]
     other += [Atom(((p, -1),), 1 - n) for p, n in enumerate(end) if n]
@@ -366,23 +366,23 @@ def at_rest(problem: Problem, possible: Iterable[Formula], end: Sequence[int]) -
 
 
 def _check_ways(problem: Problem, certificate: Any) -> str:
-    """Require that every reachable marking leads to the first one. What goes on ends by itself.
-    Then one of the ``ways`` can be gone, each a list of firings, except from the ``end``. From
-    there, the firings ``back`` lead to the first marking. There are ``distances`` of places, so
-    that each way makes the sum of them over all tokens smaller, and nothing that goes on makes it
-    larger. ``rest`` is the certificate that nothing else is :func:`at_rest`."""
+    """Require that every reachable marking leads to the first one. Whatever is in progress ends by
+    itself. Then one of the ``ways`` can be gone, each a list of firings, except from the ``end``.
+    From there, the firings ``back`` lead to the first marking. There are ``distances`` of places,
+    so that each way makes the sum of them over all tokens smaller, and nothing that goes on makes
+    it larger. ``rest`` is the certificate that nothing else is :func:`at_rest`."""
     net, ways = problem.net, [firing_in_turn(problem, way) for way in certificate["ways"]]
     distances = {net.place_index[name]: n for name, n in certificate["distances"].items()}
     end = dict(zip(net.place_index, net.initial_marking), **certificate["end"])
     marking = tuple(end[place.name] for place in net.places)
     if any(type(n) is not int or n < 0 for n in (*distances.values(), *marking)):
-        raise ProofError("a distance or count is no whole number")
+        raise ProofError("a distance or count is not a whole number")
 
     def further(change: Iterable[Tuple[int, int]]) -> int:
         return sum(distances.get(p, 0) * n for p, n in change)
 
     if any(further(net.effect(t)) > 0 for t in problem.settling):
-        raise ProofError("what goes on may lead further away")
+        raise ProofError("what is in progress may lead further away")
     if any(further(change.items()) >= 0 for _, change in ways):
         raise ProofError("a way leads no nearer")
     resting = at_rest(problem, (possible for possible, _ in ways), marking)

@@ -23,7 +23,7 @@ _FINEST, _LARGEST = 1 << 16, 1 << 24
 """The numbers of conditions with which floats compute exactly: multiples of a power of 1/2."""
 
 _MOST_CASES = 64
-"""Most cases of a value: which of its minima and maxima are which of their parts."""
+"""Maximum number of cases of a value: which of its minima and maxima are which of their parts."""
 
 
 def facts_of(condition: Condition) -> Tuple[Formula, ...]:
@@ -70,14 +70,14 @@ def formula_of(condition: Condition) -> Formula:
 
 
 class _Case(NamedTuple):
-    """What a value is where some inequalities hold: ``min(a, b)`` is one or the other."""
+    """A value where some inequalities hold: ``min(a, b)`` is one or the other."""
 
     where: Tuple[Formula, ...]
     total: _Sum
 
 
 class _Steps(Dict[str, Callable[..., Any]]):
-    """What the steps of a condition's program do with the cases of values, and with formulas."""
+    """The operations of a condition's program on cases of values and on formulas."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -104,7 +104,7 @@ class _Steps(Dict[str, Callable[..., Any]]):
 
 
 def _of_cases(compute: Callable[..., _Sum]) -> Callable[..., List[_Case]]:
-    """What a computation with sums does with values of several cases."""
+    """Apply a computation on sums to values with several cases."""
 
     def computed(*values: Any) -> List[_Case]:
         return [_Case(where, compute(*sums)) for where, sums in _together(values)]

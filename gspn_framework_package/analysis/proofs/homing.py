@@ -1,11 +1,11 @@
 """Searches for a proof that robots can get back to their first places from every reachable marking,
 so that the first marking is a *home marking*.
 
-What goes on ends by itself. Where nothing goes on, robots rest, and *ways* are firings that take
-one of them nearer to the first place of some robot. A way is found for a robot that is alone, and
-the proof says that one of them can be gone wherever not all robots are there: nothing that the
-others hold, such as a narrow node, hinders the one that is next. From there, some go back to other
-first places.
+Whatever is in progress ends by itself. Where nothing is in progress, robots rest, and *ways* are
+firings that take one of them nearer to the first place of some robot. A way is found for a robot
+that is alone, and the proof says that one of them can be gone wherever not all robots are there:
+nothing that the others hold, such as a narrow node, hinders the one that is next. From there, some
+go back to other first places.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Homing:
         self._robots = frozenset(p for p, robots in enumerate(problem.robots) if robots)
         self._homes = [p for p in sorted(self._robots) if net.initial_marking[p]]
         self._settling = frozenset(problem.settling)
-        # what goes on without a robot, however many there are
+        # what continues without a robot, however many there are
         touched = ((t, (*net.inputs[t], *net.most_tokens(t))) for t in problem.settling)
         self._aside = [t for t, near in touched if self._robots.isdisjoint(p for p, _ in near)]
 
@@ -118,7 +118,7 @@ class Homing:
         self, start: int, first: Marking, limit: int
     ) -> Dict[int, Tuple[List[int], Marking]]:
         """The places in which a robot that is alone comes to rest within ``limit`` markings, with
-        the firings to each and the marking there. What goes on without it ends last."""
+        the firings to each and the marking there. What continues without it ends last."""
         net = self._problem.net
         seen = {first}
         ends: Dict[int, Tuple[List[int], Marking]] = {}

@@ -29,10 +29,10 @@ from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.errors import LimitError, how_to_install
 
 MOST_CLAUSES = 500
-"""Most lemmas that an answer of z3 becomes."""
+"""Maximum number of lemmas that an answer of z3 becomes."""
 
 _AS_WRITTEN = ("xform.inline_eager", "xform.inline_linear", "xform.slice")
-"""What z3 does to rules, other than to keep them as they are."""
+"""The transformations of rules that z3 makes."""
 
 
 def search_inductive(
@@ -193,7 +193,7 @@ class _Spacer:
         return opposite(atom) if z3.is_lt(e) or z3.is_le(e) else atom
 
     def _add(self, e: Any, times: int, sums: Dict[int, int]) -> None:
-        """Add a linear sum of z3 to one of places; the number that is no place has the key -1."""
+        """Add a linear sum of z3 to one of places; the constant has the key -1."""
         z3 = self._z3
         if z3.is_var(e):
             p = z3.get_var_index(e)

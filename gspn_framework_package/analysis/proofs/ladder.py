@@ -77,16 +77,16 @@ FIRINGS_OF_EACH = 20
 """Number of these firings for each robot, where that is more."""
 
 FIRST_SHARE = 0.2
-"""Most of the time for them, where each of their markings may take long to look at."""
+"""Maximum share of the time for them, where each of their markings may take long to look at."""
 
 SHORTENING = 1.0
-"""Most time (s) to take out of a way what it does not need."""
+"""Maximum time (s) to shorten a path."""
 
 PROVING = 0.6
-"""The part of the time that is left then for the state equation."""
+"""Share of the remaining time for the state equation."""
 
 SOON = 1.0
-"""Most time (s) for the guided search before z3."""
+"""Maximum time (s) for the guided search before z3."""
 
 Z3_SHARE = 0.3
 """The part of the time that is left then for z3, which decides soon or not at all."""
@@ -95,7 +95,7 @@ PROVEN, VIOLATED, NOT_DECIDED = "proven", "violated", "not decided"
 
 
 class LadderStep(NamedTuple):
-    """What a step of the ladder found out: its ``name``, the ``outcome`` in words, and the time
+    """The result of a step of the ladder: its ``name``, the ``outcome`` in words, and the time
     that it took (s)."""
 
     name: str
@@ -213,7 +213,7 @@ class _Ladder:
             if self._problem.is_bad(self._problem.net.initial_marking):
                 return self._violated("exploration", ())
         except LimitError:
-            pass  # what follows is too much to visit, but a proof may know
+            pass  # there are too many markings to visit, but a proof may still be found
         large = len(self._problem.net.places) > PLACES_EXPLORED
         # who looks at all that follows a marking may not get far
         quick = self._problem.surely is not None

@@ -18,7 +18,7 @@ from gspn_framework_package.model.policy import PolicyRow, PolicyTable
 from gspn_framework_package.model.policy_cell import meet, ranges
 
 MOST_PROOF_ROWS = 20_000
-"""Most steps through the rows of a policy."""
+"""Maximum number of steps through the rows of a policy."""
 
 
 _Ranked = Tuple[int, Tuple[Formula, ...], Sequence[int], List[Formula]]
@@ -41,7 +41,7 @@ class RowsOfPlaces:
         return self._table.scope(self._original[p])
 
     def _row_cells(self, row: PolicyRow) -> Iterator[Formula]:
-        """What a row asks for."""
+        """The condition of a row."""
         for name, cell in zip(self._policy.places, row.counts):
             if cell is None:
                 continue

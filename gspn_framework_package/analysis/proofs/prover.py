@@ -53,10 +53,10 @@ FEW_PLACES = (30, 6)
 """Numbers of places to which invariants are limited, if there are too many."""
 
 MOST_INVARIANTS = 5_000
-"""Most invariants that a proof starts with."""
+"""Maximum number of invariants that a proof starts with."""
 
 DEEPEST = 400
-"""Most cases within each other."""
+"""Maximum depth of nested cases."""
 
 Reason = List[List[int]]
 """Items ``[times, fact, which]``, as in a certificate; lemmas have the numbers -1, -2, ..."""
@@ -82,7 +82,7 @@ class _FoundError(Exception):
 
 
 def solver_available() -> bool:
-    """Whether this SciPy (1.7 or newer) solves linear programs and tells the prices of rows."""
+    """Whether this SciPy (1.7 or newer) solves linear programs and returns the prices of rows."""
     return tuple(map(int, scipy.__version__.split(".")[:2])) >= (1, 7)
 
 
@@ -292,7 +292,7 @@ def _places(formula: Formula) -> Iterator[int]:
 
 
 def _narrowed(box: CountBox, atom: Atom) -> Iterator[Tuple[int, bool, int]]:
-    """What an inequality says about the counts of single places: place, whether it is a lower
+    """The bounds that an inequality sets on single places: place, whether it is a lower
     bound, count."""
     slack = box.largest(atom.terms) - atom.least
     if slack == math.inf:
@@ -377,7 +377,7 @@ def _some_invariants(net: Net, watch: Watch) -> List[Invariant]:
 
 
 def _own_bound(net: Net, effects: Dict[int, Dict[int, int]], p: int) -> Optional[int]:
-    """The most tokens of a place, if whatever produces there needs few of them."""
+    """The maximum number of tokens of a place, if whatever produces there needs few of them."""
     bound = net.initial_marking[p]
     for t in net.producers[p]:
         more = effects.get(t, {}).get(p, 0)
@@ -394,7 +394,7 @@ def _own_bound(net: Net, effects: Dict[int, Dict[int, int]], p: int) -> Optional
 
 
 class _Answer(NamedTuple):
-    """What the state equation says about a box.
+    """The result of the state equation for a box.
 
     :ivar excluded_by: whole weights of places, of which no firing lowers the sum, and whole
         multiples of the inequalities asked with it, which together exclude the box.

@@ -173,7 +173,7 @@ def pattern_and_number(question: MarkingQuestion) -> Tuple[str, int]:
         return question.about, 1
     pattern, _, number = question.about.rpartition("=")
     if not (pattern and number.strip().isdecimal()):
-        raise UsageError("'%s' is no pattern and number, such as 'At_*=2'" % question.about)
+        raise UsageError("'%s' is not a pattern and a number, such as 'At_*=2'" % question.about)
     return pattern.strip(), int(number)
 
 
@@ -484,7 +484,7 @@ class _OfPlan:
             yield from self._policy_moves_nobody(p, transitions)
 
     def _never_back(self) -> Tuple[Tuple[Formula, ...], Callable[[Marking], bool]]:
-        """What holds where nothing brings robots nearer to the goal, and whether it is reached; no
+        """The facts where nothing brings robots nearer to the goal, and whether it is reached; no
         facts if they cannot be written as inequalities."""
         until = self._until
         if self._question.kind == RETURNS:
@@ -573,7 +573,7 @@ class _OfPlan:
             for t, able in zip(leaving, enabled)
             if not self._weights_decide(t)
         ]
-        if self._table.rows_of(self._original[p]):  # a subnet may have no policy of its own
+        if self._table.rows_of(self._original[p]):  # a subnet cannot have its own policy
             ways += [All((e, Some(tuple(enabled[i + 1 :])))) for i, e in enumerate(enabled[:-1])]
         return Some(tuple(ways))
 

@@ -29,13 +29,13 @@ from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Marking, Net
 
 MOST_FOLLOWED = 20_000
-"""Most markings that are visited from one of which it is asked whether it can come to the goal."""
+"""Maximum number of markings to visit from one whose way to the goal is asked for."""
 
 FEW_FOLLOWED = 1_000
 """Number of markings that are visited before a proof is tried."""
 
 MOST_PROOFS = 5
-"""Most markings of a question from which a proof is tried."""
+"""Maximum number of markings of a question from which a proof is tried."""
 
 SECONDS_OF_PROOF = 1.0
 """Time for each of them (s)."""
@@ -48,8 +48,8 @@ def nearing(
     transitions: Sequence[int],
     by_themselves: Iterable[int] = (),
 ) -> List[int]:
-    """Those of the transitions whose firing brings tokens nearer to the goal, or settles what goes
-    on without changing their distance.
+    """Those of the transitions whose firing brings tokens nearer to the goal, or settles
+    what is in progress without changing their distance.
 
     :param moving: the places whose tokens have distances; others count 0.
     :param by_themselves: the transitions on which nobody decides.

@@ -16,13 +16,13 @@ from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Marking
 
 MOST_SEARCHED = 100_000
-"""Most markings that the search visits in order."""
+"""Maximum number of markings that the search visits in order."""
 
 FIRST_MARKINGS = 3_000
-"""How many of them before the walks."""
+"""The number of these that are visited before the random walks."""
 
 MOST_WALKS, LONGEST_WALK = 1_000, 3_000
-"""Most random walks, and most firings of each."""
+"""Maximum number of random walks, and of firings in each."""
 
 _DETOUR = 2
 """How much a firing that is not in the solution costs, in firings that are."""
@@ -116,8 +116,8 @@ def walk_until_stuck(
     """The names of transitions whose firings lead to a bad marking, found by random walks; None if
     none were found in the time.
 
-    Where the problem says so of a marking, all that follow are bad, once what goes on has ended:
-    then the first such marking of the walk is taken, and what goes on there is ended.
+    Where the problem says so of a marking, all that follow are bad, once whatever is in progress
+    has ended: then the first such marking of the walk is taken, and what goes on there is ended.
 
     :param firings: the most firings of all walks together.
     """
@@ -171,7 +171,7 @@ def shortened(problem: Problem, names: List[str], watch: Watch) -> List[str]:
 
 
 def _leads_to_bad(problem: Problem, marking: Marking) -> bool:
-    """Whether a marking is bad, or surely is once what goes on has ended."""
+    """Whether a marking is bad, or surely is once whatever is in progress has ended."""
     if problem.surely is not None:
         return problem.surely(marking)
     try:
@@ -222,7 +222,7 @@ def _without_loops(markings: List[Marking], way: List[int]) -> List[int]:
 
 
 def _settle(problem: Problem, marking: Marking) -> List[int]:
-    """Firings that end what goes on by itself."""
+    """Firings that end whatever is in progress."""
     way: List[int] = []
     ending = set(problem.settling)
     able = [t for t in problem.fires(marking) if t in ending]

@@ -133,8 +133,8 @@ class _Work:
     def _valued(
         self, asked: Union[PathFormula, StateFormula]
     ) -> Tuple[float, float, Optional[Passing]]:
-        """The probability of a path (of "G", that it ends), or a share of time, with its error, and
-        the way there if it may take any time."""
+        """The probability of a path (of "G", that it ends), or a share of time, with its error,
+        and the path there if time is unlimited."""
         if isinstance(asked, StateFormula):
             return (*self._long_run(asked), None)
         return self._probability(asked)

@@ -63,7 +63,7 @@ class StateFormula(NamedTuple):
 
 
 class PathFormula(NamedTuple):
-    """What is asked of a path: ``F goal``, ``G goal`` or ``stay U goal``, ``within`` a time (s) or
+    """A property of a path: ``F goal``, ``G goal`` or ``stay U goal``, ``within`` a time (s) or
     at any time (None)."""
 
     operator: str

@@ -1,6 +1,6 @@
 """The inner loops of the simulation: the token game of a plan, and the race of a net.
 
-Every function here is written once and used twice: compiled by numba on arrays, and as it stands on
+Every function here is written once and used twice: compiled by numba on arrays, and uncompiled on
 lists, where numba is missing or not worth its loading (see ``machine``). Both give the same numbers
 for the same seed. Therefore the code uses whole numbers of fewer than 63 bits, floats, and flat
 arrays only; everything is in this one file, because numba notices a change in the file of a
@@ -71,7 +71,7 @@ DETERMINISTIC = 5
 UNIFORM = 6
 EMPIRICAL = 7
 
-# What a robot asks for when it is done, where that is not a list.
+# The request of a robot that is done, where it is not a list.
 BAD_RESULT = -1
 NOWHERE = -2
 FAILED_ACTION = -3
@@ -81,7 +81,7 @@ FAILURE_WAITS = 0
 FAILURE_FIRES = 1
 FAILURE_STOPS = 2
 
-# What happens to a robot next.
+# The next change of a robot.
 ENTERS = 0
 ENDS = 1
 STARTS = 2
@@ -154,7 +154,7 @@ SOME_ROW_ALWAYS = 5
 LOST_RULE = 6
 """What to do when a robot is lost and others wait for it."""
 LOST_TRANSITION = 7
-"""What they request then."""
+"""The transition that they request then."""
 ALL_EVENTS = 8
 """Events that interrupt robots."""
 
@@ -1006,7 +1006,7 @@ class Durations(NamedTuple):
 
 
 class OutcomeArrays(NamedTuple):
-    """What robots ask for when they are done, as lists; the first is that of a robot without an
+    """The requests of robots that are done, as lists; the first is that of a robot without an
     action."""
 
     outcome_from: Any
@@ -1015,8 +1015,8 @@ class OutcomeArrays(NamedTuple):
 
 
 class Failures(NamedTuple):
-    """How often actions fail, and what to do then: so many further attempts, each after its delay
-    (s; the last delay holds for all others), then the end of the rule."""
+    """How often actions fail, and what to do then: the number of further attempts, each after its
+    delay (s; the last delay holds for all others), then the end of the rule."""
 
     failure: Any
     rule_times: Any
@@ -1027,8 +1027,8 @@ class Failures(NamedTuple):
 
 
 class InterruptArrays(NamedTuple):
-    """The events that interrupt robots: ``event_from`` by place. An event comes so long
-    (``event_after``, s) after a robot has entered the place; 0: at its rate."""
+    """The events that interrupt robots: ``event_from`` by place. An event comes ``event_after``
+    (s) after a robot has entered the place; 0: at its rate."""
 
     event_from: Any
     event_transition: Any
@@ -1040,7 +1040,7 @@ class InterruptArrays(NamedTuple):
 
 
 class Visits(NamedTuple):
-    """What robots do in places."""
+    """The actions of robots in places."""
 
     durations: Any
     outcomes: Any
@@ -1187,8 +1187,8 @@ class Held(NamedTuple):
 
 
 class Calendar(NamedTuple):
-    """What happens next: the robots that enter, end, fail or start now; the ends of actions, and of
-    those without duration; the events that interrupt robots.
+    """The next occurrences: the robots that enter, end, fail or start now; the ends of actions, and
+    of those without duration; the events that interrupt robots.
 
     What comes in ``arrivals`` is ``robot * (events + 1)``, plus the number of an event that comes
     after a fixed time, or plus the number of all events for the next one that comes at a rate.
@@ -1204,7 +1204,7 @@ class Calendar(NamedTuple):
 
 
 class Chance(NamedTuple):
-    """What fires without robots: the immediate transitions that only take resources, with those to
+    """Firings without robots: the immediate transitions that only take resources, with those to
     look at again, and the rates of the environment."""
 
     ready_ones: Any
@@ -1360,7 +1360,7 @@ def after_failure(timing: int, tried: int, failures: Failures) -> int:
 
 
 def only_due(count: int, tags: Indices, robots: Indices, due_tag: Indices) -> int:
-    """Keep the entries of a list of actions that are still running; how many they are."""
+    """Keep the entries of a list of actions that are still running; returns their number."""
     kept = 0
     for i in range(count):
         if due_tag[robots[i]] == tags[i]:
@@ -1555,7 +1555,7 @@ def find_held(
 
 
 def any_of_these(count: int, random: Indices) -> int:
-    """One of so many things, by chance; its number, from 0."""
+    """A random number from 0 to ``count`` - 1."""
     return int(draw_uniform(random) * count) if count > 1 else 0
 
 
@@ -2008,7 +2008,7 @@ def draw_others(
         clocks[ENVIRONMENT_AT] = time_of_race(clocks[NOW], tree, random)
     active = numbers[ACTIVE]
     if loss_rate[0] > 0.0 and numbers[LOST] != active:
-        numbers[LOST] = active  # the time to the next loss is drawn for so many robots
+        numbers[LOST] = active  # the number of robots for which the time to the next loss was drawn
         clocks[LOSS_AT] = math.inf
         if active > 0:
             clocks[LOSS_AT] = clocks[NOW] + exponential(random) / (loss_rate[0] * active)
@@ -2044,7 +2044,7 @@ def find_first(
 ) -> None:
     """Find the next event: its time is ``clocks[NEXT]``, where it comes from ``numbers[SOURCE]``.
 
-    What comes first but no longer counts is dropped: actions that were interrupted, and events of
+    Drop the first entries that no longer count: actions that were interrupted, and events of
     visits that are over.
     """
     _, _, heap, _, _, arrivals, _ = calendar

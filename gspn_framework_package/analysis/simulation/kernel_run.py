@@ -67,7 +67,7 @@ class KernelRun:
         self._hand_over()
 
     def begin(self, words: List[int]) -> None:
-        """Put everything back to the start; ``words`` are the four words of the random numbers."""
+        """Reset everything; ``words`` are the four words of the random numbers."""
         for now, before in self._to_reset:
             now[:] = before
         self.state.random[:] = words

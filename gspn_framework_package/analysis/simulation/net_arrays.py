@@ -1,4 +1,4 @@
-"""What the arrays of a net and of a plan have in common."""
+"""The arrays that nets and plans share."""
 
 from __future__ import annotations
 

@@ -109,7 +109,7 @@ class PlanRun(KernelRun):
         kernel.leave_list(robot, len(self.net.places), groups, s.lists, s.counts.level)
 
     def _drawn(self) -> Dict[int, int]:
-        """What each waiting robot requests in this marking: a transition; robots to which the
+        """The transition that each waiting robot requests in this marking; robots to which the
         policy gives nothing are left out."""
         s, rules, book = self.state, self.arrays[0], self.arrays[1]
         arcs = len(self.tables.arcs)
@@ -300,5 +300,5 @@ def _first_chance(tables: PlanTables, marking: Sequence[int]) -> kernel.Chance:
 
 
 def new_heap(size: int) -> kernel.Heap:
-    """An empty heap with room for so many events."""
+    """An empty heap with this capacity."""
     return kernel.Heap(real(size), whole_numbers(size), whole_numbers(size))

@@ -31,7 +31,7 @@ from gspn_framework_package.model.plan_timing import (
 )
 
 MOST_AGENTS = 10_000
-"""Most agents in a run that creates them."""
+"""Maximum number of agents in a run that creates them."""
 
 _KINDS: Dict[Any, int] = {
     Kind.EXPONENTIAL: kernel.EXPONENTIAL,
@@ -143,7 +143,7 @@ class PlanTables:
         return tests
 
     def _changes(self, tests: Sequence[List[List[int]]]) -> kernel.ChangeArrays:
-        """What firings change, and what has to be looked at again then."""
+        """What firings change, and what must be checked again afterwards."""
         net = self.net
         transitions = range(len(net.transitions))
         rising: List[List[int]] = [[] for _ in net.places]

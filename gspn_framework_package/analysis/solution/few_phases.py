@@ -14,7 +14,7 @@ from gspn_framework_package.run_net.run_net import State
 from gspn_framework_package.run_net.size import PhasesOfDurations
 
 FEW_STATES = 100_000
-"""About so many states at most, if the number of phases is not given."""
+"""Approximate maximum number of states, if the number of phases is not given."""
 
 
 def phases_for(given: Union[None, int, Mapping[str, float]], limit: int) -> ChoosePhases:

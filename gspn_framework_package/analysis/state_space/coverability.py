@@ -164,7 +164,7 @@ class CoverabilityTree:
 
     @property
     def bounds(self) -> Dict[str, Optional[int]]:
-        """The most tokens that each place can hold; None if there is no bound."""
+        """The maximum number of tokens that each place can hold; None if there is no bound."""
         return {
             place.name: None if n == OMEGA else n
             for place, n in zip(self.net.places, self._largest)

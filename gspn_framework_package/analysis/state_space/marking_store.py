@@ -56,7 +56,7 @@ class PackedStore:
         return np.flatnonzero((self._words == self.packing.pack(counts)).all(axis=1))
 
     def largest(self) -> List[int]:
-        """The most tokens of each place."""
+        """The maximum number of tokens of each place."""
         return [int(self.column(p).max()) for p in range(len(self.packing.widths))]
 
     def means(self, states: Indices, weights: Floats) -> List[float]:

@@ -78,7 +78,7 @@ def explore(
     :param room: the exploration ends when it is used up.
     """
     transitions = len(packed.order)
-    wanted = os.environ.get("NUMBA_NUM_THREADS", "")  # numba ignores what is no number, too
+    wanted = os.environ.get("NUMBA_NUM_THREADS", "")  # numba ignores other texts
     cores = cores or int(wanted if wanted.isdigit() else 0) or len(os.sched_getaffinity(0))
     cores = min(cores, _CORES)
     share = max(_BLOCK, min(_SHARE, _SHARE_ARCS // max(transitions, 1)))

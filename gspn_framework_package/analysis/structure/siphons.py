@@ -302,7 +302,7 @@ class _Inside:
         self._effort.spend(steps, _PLACES)
 
     def demand(self, required: Iterable[int]) -> Tuple[Set[int], bool, bool]:
-        """What a siphon (trap) inside this one must contain if it contains ``required``.
+        """The places that a siphon (trap) inside this one must contain if it contains ``required``.
 
         :returns: the places it must contain; whether such a set is possible; whether these places
             already form one.

@@ -13,7 +13,7 @@ Siminiceanu 2001).
 The recursion has its own stack, so that the loop can stop anywhere, for more room, to report
 progress, or to let another order of the places have its turn, and go on later.
 
-The functions run as they are, on lists, or compiled by numba, on arrays: see
+The functions run uncompiled on lists, or compiled by numba on arrays: see
 :mod:`~gspn_framework_package.analysis.symbolic.machine`.
 """
 
@@ -248,7 +248,7 @@ def pop(st: Numbers, base: int, result: int) -> None:
 
 
 def go_on_with_union(store: NodeStore, st: Numbers, stack: Numbers, vec: Numbers, f: int) -> int:
-    """Go on with a union until it needs another one or is done."""
+    """Continue a union until it needs another one or is done."""
     start, low, pool = store.start, store.low, store.pool
     a, b = stack[f + FIRST], stack[f + SECOND]
     low_a, low_b = low[a], low[b]
@@ -292,7 +292,7 @@ def go_on_with_fire(
     dirty: Numbers,
     f: int,
 ) -> int:
-    """Go on with a step until it needs a step from a lower node, its result has to be closed, or it
+    """Continue a step until it needs a step from a lower node, its result has to be closed, or it
     is done."""
     step, node, level = stack[f + FIRST], stack[f + SECOND], stack[f + FRAME_LEVEL]
     begin, first = store.start[node], store.low[node]
@@ -354,7 +354,7 @@ def go_on_with_saturate(
     dirty: Numbers,
     f: int,
 ) -> int:
-    """Go on closing a set until a lower node is needed, or it is closed.
+    """Continue closing a set until a lower node is needed, or it is closed.
 
     A frame waits for the set after a row (1), or for its union with the child that it goes to (2).
     """

@@ -131,11 +131,11 @@ class Machine:
         push_saturate(self._st, self._stack, level, 0, tokens, -1, -1)
 
     def begin_step(self, level: int, step: int, node: int) -> None:
-        """Begin to take a step from the set ``node`` of this level, neither of them trivial."""
+        """Begin to take a nontrivial step from the nontrivial set ``node`` of this level."""
         push_fire(self._st, self._stack, self.store, self._steps, level, step, node)
 
     def go_on(self, turns: int) -> bool:
-        """Go on with the work, for at most ``turns`` operations or until there is no room; returns
+        """Continue the work, for at most ``turns`` operations or until there is no room; returns
         whether it is done."""
         outcome = self._form.run(
             self.store, self._steps, self._st, self._stack, self._vec, self._dirty, turns

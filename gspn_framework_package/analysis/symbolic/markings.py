@@ -2,7 +2,7 @@
 
 They are one decision diagram (see :mod:`~gspn_framework_package.analysis.symbolic.kernel`), from
 which the counts are read off. Several orders of the places run in turns, and the first that ends
-wins, since no rule tells beforehand which of them keeps the diagram small.
+wins, since no rule predicts which of them keeps the diagram small.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ rows for each place that they ask; if it takes more, there is one step for half 
 
 
 class MarkingCounts(NamedTuple):
-    """What holds of all reachable markings.
+    """Properties of all reachable markings.
 
     :ivar total: number of reachable markings.
     :ivar tangible: of these, how many enable no immediate transition.
@@ -151,7 +151,7 @@ class _Diagram:
         return table
 
     def go_on(self, turns: int) -> None:
-        """Go on for about this many operations, or until it is done or needs more room."""
+        """Continue for about this many operations, or until it is done or needs more room."""
         until = self.machine.work + turns
         while not self.done and self.machine.work < until:
             if not self.machine.go_on(until - self.machine.work):

@@ -105,7 +105,7 @@ class Consensus(ReplicaPart):
                     state.by_all[ballot] = {str(r): tuple(map(str, ids)) for r, ids in torn}
 
     def next_slot(self, keep_lead: bool, returned: Set[str]) -> None:
-        """Go on to the next slot. ``keep_lead``: our own attempt decided the last one;
+        """Move on to the next slot. ``keep_lead``: our own attempt decided the last one;
         ``returned``: robots that joined in it, whose earlier promises do not count."""
         state = self.state
         state.accepted = None
@@ -208,7 +208,7 @@ class Consensus(ReplicaPart):
         self.outbox.send_all(to, body)
 
     def _first_phase_over(self) -> bool:
-        """Go on to the second phase if enough have promised."""
+        """Move on to the second phase if enough have promised."""
         state = self.state
         attempt = state.attempt
         if attempt is None or attempt.batch is not None:
@@ -387,8 +387,8 @@ class Consensus(ReplicaPart):
         if not self.config.partial and self.config.is_small:
             origins = {item.origin.robot for item in body.batch.items}
             known = {self.config.name, message.sender}
-            told = [m for m in self.electorate.others() if m in origins and m not in known]
-            self.outbox.send_all(told, Accepted(body.slot, ballot, []))
+            reported = [m for m in self.electorate.others() if m in origins and m not in known]
+            self.outbox.send_all(reported, Accepted(body.slot, ballot, []))
         self._decide_if_chosen(ballot)
 
     def _refuse(self, message: Envelope, slot: int) -> None:

@@ -231,8 +231,8 @@ class Electorate:
     def _lacks(self, missing: Sequence[str]) -> str:
         unheard = [m for m in missing if m not in self.heard_of_late()]
         empty = [m for m in missing if m not in unheard]
-        told = ["not heard: %s" % ", ".join(unheard)] if unheard else []
-        return "; ".join([*told, *(["without a log: %s" % ", ".join(empty)] if empty else [])])
+        reported = ["not heard: %s" % ", ".join(unheard)] if unheard else []
+        return "; ".join([*reported, *(["without a log: %s" % ", ".join(empty)] if empty else [])])
 
     def needs_all(self) -> Torn:
         """The robots whose logs lost their ends, if the team needs their votes to continue and all
@@ -402,8 +402,8 @@ class Electorate:
         ]
 
     def without_ghosts(self, items: Sequence[Item]) -> List[Item]:
-        """Leave out joining robots that are not heard themselves, or that are so many that the
-        robots heard would no longer be a quorum: a team must not lose its quorum to names without a
+        """Leave out joining robots that are not heard themselves, or that are too many for the
+        robots heard to remain a quorum: a team must not lose its quorum to names without a
         process. A robot cannot return in the slot that evicts it by force either, because it does
         not know of the eviction."""
         me, peers = self.config.name, self.state.peers

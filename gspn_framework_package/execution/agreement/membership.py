@@ -274,7 +274,7 @@ class Membership(ReplicaPart):
         )
 
     def _greetings(self) -> Dict[str, Seen]:
-        """What we know of the robots that need to hear it: those that do not take part yet, or
+        """Our knowledge about the robots that need it: those that do not take part yet, or
         whose log we know differently. A working team has none, so the size of a hello does not grow
         with the team."""
         greets = {}

@@ -214,7 +214,7 @@ def _accepted(data: Dict[str, Any], name: str) -> Optional[Tuple[Ballot, Batch]]
 
 
 class Seen(NamedTuple):
-    """What the sender of a hello remembers about a robot that it greets: the robot's log, and how
+    """A greeting: what the sender of a hello remembers about a robot: the robot's log, and how
     many records it had in incarnation ``incarnation``."""
 
     log: str

@@ -16,7 +16,7 @@ from gspn_framework_package.execution.agreement.state import ReplicaState
 
 @dataclass(eq=False)
 class ReplicaPart:
-    """What all parts know."""
+    """The data that all parts share."""
 
     config: Config
     state: ReplicaState

@@ -131,7 +131,7 @@ class ProposalQueue:
         self.outbox.order_result(own.order_id, not why, why or text)
 
     def _about_task(self, entry: log_entries.TaskOrder) -> str:
-        """What an order has done to a task."""
+        """The effect of an order on a task."""
         ledger = self.state.ledger
         text = ledger.state.whereabouts(entry.id, ledger.game.net)
         if isinstance(entry, log_entries.PrioritiseTask):
@@ -355,13 +355,13 @@ class ProposalQueue:
     def _waiting_of(self, robot: str) -> Iterable[Proposal]:
         """The waiting proposals of a robot; for ours, including those of another process of its
         name."""
-        told = self.state.others_proposals.get(robot, ())
+        reported = self.state.others_proposals.get(robot, ())
         if robot != self.config.name:
-            return told
+            return reported
         own = self.state.own_proposals
-        if not told:
+        if not reported:
             return own
-        more = [p for p in told if p.item.origin not in own]
+        more = [p for p in reported if p.item.origin not in own]
         return sorted([*own, *more], key=lambda p: p.item.origin)
 
     # -- reading our own log --------------------------------------------------------------------

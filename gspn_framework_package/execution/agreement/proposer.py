@@ -88,7 +88,7 @@ class Proposer(ReplicaPart):
     # -- the outcome of the open slot --------------------------------------------------------------
 
     def next_slot(self, mine: bool, returned: Set[str]) -> None:
-        """Go on to the next slot; see
+        """Move on to the next slot; see
         :meth:`~gspn_framework_package.execution.agreement.consensus.Consensus.next_slot`."""
         state = self.state
         self.consensus.next_slot(mine, returned)

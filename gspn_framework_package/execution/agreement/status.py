@@ -112,8 +112,8 @@ class Status(ReplicaPart):
         if not self.is_stuck():
             return ""
         return (
-            ": too many robots lost their logs, and the others are no quorum; use force_evict on "
-            "those robots"
+            ": too many robots lost their logs, and the others are not a quorum; use force_evict "
+            "on those robots"
         )
 
     def as_json(self) -> Dict[str, Any]:
@@ -182,11 +182,11 @@ class Status(ReplicaPart):
         at = state.position if mine else None
         heard = state.peers.get(robot.name).heard
         team = state.ledger.state
-        told = reported_phase(team, robot).report
+        reported = reported_phase(team, robot).report
         return {
             "robot": robot.name,
             "place": self.state.ledger.game.net.places[at.place if at else robot.place].name,
-            "state": told.state,
+            "state": reported.state,
             "incarnation": robot.incarnation,
             "visit": at.visit if at else robot.visit,
             "attempt": at.attempt if at else robot.attempt,
@@ -195,5 +195,7 @@ class Status(ReplicaPart):
             "last_contact": 0.0
             if mine
             else (None if heard is None else round(state.now - heard, 3)),
-            "waits_for": "" if told.at_rest else self.state.ledger.game.why_waiting(team, robot),
+            "waits_for": ""
+            if reported.at_rest
+            else self.state.ledger.game.why_waiting(team, robot),
         }

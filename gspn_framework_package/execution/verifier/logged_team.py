@@ -111,7 +111,7 @@ class LoggedTeam:
         self.witnesses: Tuple[str, ...] = ()
         self.seed = 0
         self.draws_ties = False
-        """Whether chance decides between robots that could move alike."""
+        """Whether chance decides between robots that could make the same move."""
         self.paused = self.stopped = False
         self.ended: Optional[str] = None
         self.perhaps_ended = False
@@ -315,7 +315,7 @@ class LoggedTeam:
                 robot.attempt += 1
 
     def _cancel(self, task_id: str) -> None:
-        """A task is not to be done; its robot goes on without it as the plan says."""
+        """A task is not to be done; its robot continues without it as the plan says."""
         kind, where = self.cargo.find(task_id)
         if not kind:
             return
@@ -326,7 +326,7 @@ class LoggedTeam:
             self._loses_task(self.robots[where])
 
     def _give_back(self, task_id: str) -> None:
-        """A robot gives its task back to a queue, and goes on without it."""
+        """A robot gives its task back to a queue, and continues without it."""
         kind, name = self.cargo.find(task_id)
         robot = self.robots.get(name if kind == "robot" else "")
         if robot is None or not robot.here:

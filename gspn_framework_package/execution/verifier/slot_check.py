@@ -60,7 +60,7 @@ class SlotCheck(LoggedTeam):
                     cells.append((p, c))
             group = self._rows.setdefault(tuple(p for p, _ in cells), {})
             group.setdefault(tuple(c for _, c in cells), []).append(number)
-        # subnets with policies of their own, by number from 1; the plan's own policy is 0
+        # subnets with their own policies, by number from 1; the plan's own policy is 0
         self._scope: Dict[str, int] = {}
         self._row_scope = [0] * len(plan.policy.rows)
         for k, scope in enumerate(plan.policy.scopes, 1):

@@ -171,18 +171,18 @@ def share_source_lines() -> None:
 def await_master(ending: Ending) -> None:
     """Wait until the ROS master answers, and print a line if it does not answer at once; rospy
     itself fails without a master."""
-    told = False
+    reported = False
     while not ending.is_set():
         try:
             master_proxy().getPid("/gspn")
             return
         except MASTER_ERRORS as error:
-            if not told:
+            if not reported:
                 print(
                     "waiting for the ROS master at %s (%s)" % (rosgraph.get_master_uri(), error),
                     file=sys.stderr,
                 )
-            told = True
+            reported = True
         ending.wait(0.5)
 
 

@@ -181,17 +181,17 @@ class _Collected(RegistrationListener):
 
 
 def _register_for_sure(entries: Sequence[MasterEntry]) -> None:
-    told = False
+    reported = False
     while not rospy.is_shutdown():
         try:
             register_with_master(entries)
             return
         except MASTER_ERRORS as error:
-            if not told:
+            if not reported:
                 logging.getLogger("rospy.registration").error(
                     "the master does not register: %s", error
                 )
-            told = True
+            reported = True
             time.sleep(RETRY_AFTER)
 
 

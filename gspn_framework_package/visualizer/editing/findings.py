@@ -37,7 +37,7 @@ from gspn_framework_package.model.subnet import SEPARATOR
 from gspn_framework_package.ros.check_all import check_all
 
 FAULTS = 12
-"""The most faults reported at once for a document that is not a plan yet."""
+"""The maximum number of faults reported at once for a document that is not a plan yet."""
 
 STATES_AT_LAST = 50
 """Markings visited after a timeout, to report what was not decided."""
@@ -222,7 +222,7 @@ def _faults(
     """The faults of a document that is not a valid plan, found one by one: after each, the faulty
     element is left out and the rest is read again."""
     document = copy.deepcopy(document)
-    told: List[str] = []
+    reported: List[str] = []
     for _ in range(FAULTS):
         if cancel():
             raise CancelledError("a newer check was requested")
@@ -235,8 +235,8 @@ def _faults(
             text = ": ".join(filter(None, (error.element, error.message)))
             if error.file:
                 text = "%s: %s" % (error.file, text)
-            if text not in told:
-                told.append(text)
+            if text not in reported:
+                reported.append(text)
                 yield _finding("error", text, where.elements, error.hint)
             if where.path is None or not _leave_out(document, where.path):
                 return

@@ -20,7 +20,7 @@ from gspn_framework_package.visualizer.editing.atomic import write_all
 from gspn_framework_package.visualizer.editing.palette import SOURCE_BYTES, described_function
 
 LONGEST_FUNCTION = 20_000
-"""Most characters of a function that is written in the page."""
+"""Maximum number of characters of a function that is written in the page."""
 
 _NAME = re.compile(r"(\w[\w .+-]*/)*([A-Za-z]\w*\.)+[A-Za-z]\w*", re.ASCII)
 _LOADED_BY_OTHERS = ("conftest", "setup", "sitecustomize", "usercustomize")
@@ -107,7 +107,7 @@ def write_function(
         raise RefusedError(
             "the function cannot be put into it without changing the rest",
             file=shown,
-            hint="write it with an editor of texts",
+            hint="edit it with a text editor",
         )
     write_all(folder, place, {file: new})
     return _source(shown, new, function)
@@ -156,7 +156,7 @@ def _content(file: str) -> bytes:
 
 
 def _parsed(function: str, text: object) -> Tuple[str, Optional[int], Optional[ast.FunctionDef]]:
-    """What is wrong with the source of a function and in which line, or else its node."""
+    """The error in the source of a function, with its line, or else its syntax node."""
     if not isinstance(text, str):
         raise UsageError("'text' is missing")
     if len(text) > LONGEST_FUNCTION:

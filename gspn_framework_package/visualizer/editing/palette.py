@@ -151,9 +151,9 @@ def _plans(folder: Folder, top: str, own: str) -> Iterator[Dict[str, Any]]:
             if os.path.realpath(file) in seen:
                 continue
             seen.add(os.path.realpath(file))
-            told = _plan(file)
-            if told is not None:
-                yield {"file": os.path.relpath(file, top).replace(os.sep, "/"), **told}
+            reported = _plan(file)
+            if reported is not None:
+                yield {"file": os.path.relpath(file, top).replace(os.sep, "/"), **reported}
 
 
 def _plan(file: str) -> Optional[Dict[str, Any]]:

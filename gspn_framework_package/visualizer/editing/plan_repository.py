@@ -246,7 +246,7 @@ class PlanRepository:
         return os.path.dirname(opened.parts.plan_file)
 
     def come(self, path: str, page: object, fields: Dict[str, Any], stream: bool = False) -> str:
-        """A page is at a plan; return its file. See :meth:`SharedPlans.come`."""
+        """Register a page that shows a plan; return its file. See :meth:`SharedPlans.come`."""
         with self._lock_of(path):
             name = self._name(self._whole(path))
             version = self.drafts.version(name) or self._files_version(name)

@@ -138,7 +138,7 @@ class SharedPlans:
             return sum(other != page for other in room.editors)
 
     def told(self, path: str) -> Dict[str, Any]:
-        """What the pages at a plan are told: its version, and who edits it."""
+        """What the pages that show a plan receive: its version, and who edits it."""
         with self._condition:
             return self._told(self._rooms.get(path, _Room()))
 

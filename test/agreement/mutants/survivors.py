@@ -572,7 +572,7 @@ MUTANTS: List[Mutant] = [
     ),
     _step(
         "spoken for",
-        "a robot goes on under an incarnation that another process has used",
+        "a robot continues under an incarnation that another process has used",
         _overlooks_what_was_said_for_it,
         "a_robot_in_whose_name_an_entry_came_begins_another_life",
     ),

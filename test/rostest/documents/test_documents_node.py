@@ -114,7 +114,7 @@ class Documents(unittest.TestCase):
                 self.assertTrue(get_node_list(config))
 
     def test_own_robots_typed_in_terminals(self):
-        """The document's two robots, each launched in a terminal of its own, with a master of their
+        """The document's two robots, each launched in its own terminal, with a master of their
         own."""
         lines = [s.line for s in steps(ROOT / "docs/own_robots.md") if isinstance(s, Command)]
         launches = [line for line in lines if "robot.launch" in line][:2]

@@ -122,7 +122,7 @@ class Robot:
 
 
 class Team:
-    """The robots of one run, in a folder of their own; hears all firings."""
+    """The robots of one run, in a separate folder; hears all firings."""
 
     def __init__(self, plan, names, namespaces=None, **parameters):
         self.plan = plan

@@ -93,7 +93,7 @@ def test_nominal_rates_of_an_ordinary_simulation(plans, capsys):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ([], "there is no aim"),
+        ([], "no aim is given"),
         ([*TRIPS, "--timing", "net"], "as they run"),
         ([*TRIPS, "--batches", "5"], "--batches and --against exclude each other"),
         ([*TRIPS, "--until", "trips >= 2"], "another aim is given"),
@@ -108,7 +108,7 @@ def test_what_makes_no_sense_is_refused(plans, capsys, words, message):
 
 def test_what_is_no_comparison_is_refused(plans, tmp_path, capsys):
     assert main(["simulate", plans[0], "--time", "5", "--reward", "slow=1"]) == 2
-    assert "--reward is for the comparison of two plans" in capsys.readouterr().err
+    assert "--reward applies only to comparisons of two plans" in capsys.readouterr().err
     assert compare((plans[0], str(tmp_path / "none.json")), *TRIPS) == 2
     assert "none.json" in capsys.readouterr().err
     net = Path(__file__).parents[3] / "plans" / "patrol" / "patrol.pnml"

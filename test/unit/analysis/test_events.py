@@ -71,7 +71,7 @@ def test_what_a_visit_or_a_task_carries_on_is_said_to_change_nothing():
     resumed = (
         "a visit that continues one that low interrupted takes as long, and ends, as any other"
     )
-    alike = "tasks from Dock are alike: how long an action takes and what it names does not depend"
+    alike = "tasks from Dock are interchangeable: how long an action takes or what it names cannot"
     for notes in (
         Analysis(plan).timing.assumptions,
         DecisionProblem(plan, reading=RUN).assumptions,

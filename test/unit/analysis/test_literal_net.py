@@ -251,10 +251,10 @@ def test_the_command_writes_it(ending, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (["plans/patrol/net.xml", "x.jani"], "--run-net is for plans"),
-        (["plans/patrol", "x.json"], "a run net is a net, and x.json a plan"),
-        (["plans/patrol", "x.tra"], "a plan has a chain without it"),
-        (["plans/patrol", "x.jani", "--expand", "a", "b", "c", "d"], "--run-net for plans"),
+        (["plans/patrol/net.xml", "x.jani"], "--run-net applies to plans"),
+        (["plans/patrol", "x.json"], "a run net is a net, but x.json is a plan"),
+        (["plans/patrol", "x.tra"], "the chain of a plan does not need it"),
+        (["plans/patrol", "x.jani", "--expand", "a", "b", "c", "d"], "--run-net to plans"),
     ],
 )
 def test_what_has_no_run_net(words, text, capsys):

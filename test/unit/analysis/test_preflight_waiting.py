@@ -44,7 +44,7 @@ def test_a_robot_whose_partner_never_returns_is_named(timing):
     (item,) = report.of("waiting")
     assert item.severity is Severity.WARNING and report.exit_code == 0
     assert item.text == (
-        "a robot in a that requests meet can wait forever while others go on: in (a: 1, c: 1, "
+        "a robot in a that requests meet can wait forever while others continue: in (a: 1, c: 1, "
         "bell: 1), reached by leave, meet can never fire; let nothing take away for good what it needs, or let "
         'an event such as {"after": SECONDS} move the robot on'
     )

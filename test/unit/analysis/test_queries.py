@@ -424,7 +424,7 @@ def test_the_command(capsys):
     ("more", "message"),
     [
         (["--query", "AX P1 = 1"], "the operator AX (next) is not supported"),
-        (["--at", "1"], "answers queries, and no other questions"),
+        (["--at", "1"], "answers only queries"),
         (["--only-net", "--symbolic"], "exclude each other"),
         (["--only-net", "--lump"], "exclude each other"),
         (["--csv", "rows.csv"], "exclude each other"),

@@ -527,6 +527,6 @@ def test_the_command(tmp_path, capsys):
         in capsys.readouterr().out
     )
     assert main(["check", str(path), "--at-most", "on0"]) == 2
-    assert "'on0' is no pattern and number" in capsys.readouterr().err
+    assert "'on0' is not a pattern and a number" in capsys.readouterr().err
     assert main(["check", str(path), "--ends"]) == 2
     assert "a net has no policy, and no robots that end" in capsys.readouterr().err

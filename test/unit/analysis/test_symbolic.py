@@ -54,7 +54,7 @@ def counts_by_definition(net):
 @pytest.mark.long
 @pytest.mark.parametrize("form", FORMS)
 def test_counts_by_definition(form, monkeypatch):
-    # room for a few nodes only, and many pauses: the work goes on where it was
+    # room for a few nodes only, and many pauses: the work continues where it stopped
     monkeypatch.setattr(machine, "_ROOM", 8)
     monkeypatch.setattr(markings, "_FIRST_TURNS", 30)
     monkeypatch.setattr(markings, "_SLICE", {False: 10, True: 10})

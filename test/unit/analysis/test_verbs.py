@@ -242,7 +242,7 @@ def test_a_counter_that_nothing_feeds_does_not_keep_a_plan_from_its_beginning(ru
     plan["actions"] = {"A": None, "B": None, "Never": None}
     (tmp_path / "plan.json").write_text(json.dumps(plan))
     code, out, _ = run("analyse", tmp_path, "--no-structure", "--no-time")
-    assert code == 0 and "left out, because never read: Count" in out
+    assert code == 0 and "left out, because it is never read: Count" in out
     assert "reversible: yes" in out
 
 

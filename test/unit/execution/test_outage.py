@@ -223,7 +223,7 @@ def _lost_slot(world: Team) -> Any:
 
 
 def test_what_a_robot_sent_before_the_outage_does_not_count_after_it() -> None:
-    """It may be about a slot that was decided, and lost, and is decided anew."""
+    """It may be about a slot that was decided, and lost, and is decided again."""
     for comes_back in (False, True):
         world = _outage_of_two()
         length = world.replica("r3").ledger.length

@@ -250,7 +250,7 @@ def test_a_robot_that_waits_for_an_event_costs_the_others_no_slots() -> None:
 
 
 def test_a_task_that_was_given_up_with_its_slot_is_not_missed() -> None:
-    """r1 alone is a quorum and takes a task in. Then it stops, and the operator goes on without
+    """r1 alone is a quorum and takes a task in. Then it stops, and the operator continues without
     what it knew."""
     world = team()
     world.given_up = True

@@ -227,7 +227,7 @@ def without_tasks() -> Plan:
 
 
 def adopt(world: Shop, plan: Plan, mapping: Any = log_entries.NOTHING) -> interface.OrderResult:
-    """The answer to an order to go on under a plan."""
+    """The answer to an order to continue under a plan."""
     assert world.order(plan_change.stage_of(plan, mapping)).ok
     return world.order(log_entries.Adopt(1))
 

@@ -89,7 +89,7 @@ def test_standard_output(capfdbinary):
         (["n.xml", "--const", "N"], "expected NAME=NUMBER"),
         (["n.xml", "--const", "N=x"], "expected NAME=NUMBER"),
         (["n.xml", "--const", "=1"], "expected NAME=NUMBER"),
-        (["n.xml", "--label", "a=b"], "--label is for chains"),
+        (["n.xml", "--label", "a=b"], "--label applies only to chains"),
         (["-", "--to", "drn"], "a chain is not written to standard output"),
         (["n.drn", "--label", "a"], "expected NAME=CONDITION"),
         (["n.drn", "--label", "a=Nowhere > 1"], "Nowhere"),

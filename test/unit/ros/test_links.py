@@ -59,7 +59,7 @@ def make(monkeypatch):
         inbound = InboundMessages(seal=Seal(key, run, robot) if key else None)
         link = links.TopicLink(host, "/" + robot, "", inbound)
         link.got = got
-        link._neighbours = dict  # each as in a process of its own
+        link._neighbours = dict  # each as in a separate process
         made.append(link)
         return link
 

@@ -46,7 +46,7 @@ def ends():
 
 @pytest.fixture
 def start(tmp_path):
-    """Start a family in a process of its own: the process, and a way to wait for the notes of its
+    """Start a family in a separate process: the process, and a way to wait for the notes of its
     members."""
     parents = []
 

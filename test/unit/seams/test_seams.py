@@ -309,7 +309,7 @@ def test_a_measure_of_a_part_that_is_left_out_is_null(toy_measures, tmp_path, ca
     assert dispatcher.main(words) == 0
     data = json.loads(capsys.readouterr().out)
     assert (data["sources"], data["fullest"], data["busy"]) == (None, 1, None)
-    assert data["undecided"]["sources"] == data["undecided"]["busy"] == "left out, as asked"
+    assert data["undecided"]["sources"] == data["undecided"]["busy"] == "left out, as requested"
 
 
 # -- a kind of action

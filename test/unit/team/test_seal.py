@@ -132,7 +132,7 @@ def test_nothing_that_is_sealed_runs_into_what_follows():
 def test_a_line_without_numbers_is_refused_though_it_has_the_key(number, time):
     line = "%s %s %s b. ." % ("session", number, time)
     text = "gspn1 %s %s\nbody" % (KEY.code("3:run4:said%s\nbody" % line), line)
-    assert why_not(seal("a"), text) == "its number or time is no number"
+    assert why_not(seal("a"), text) == "its number or time is not a number"
 
 
 def test_messages_to_others_do_not_push_ours_out_of_the_window():

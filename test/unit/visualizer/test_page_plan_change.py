@@ -1,4 +1,4 @@
-"""A run that goes on under another plan, with another net: what the page shows of it, before and
+"""A run that continues under another plan, with another net: what the page shows of it, before and
 after."""
 
 import json

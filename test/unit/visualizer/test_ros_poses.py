@@ -77,7 +77,7 @@ def test_a_pose_that_is_no_number_is_not_told(heard: Heard) -> None:
 def test_what_was_not_told_at_once_is_told_with_the_next_search(monkeypatch: Any) -> None:
     monkeypatch.setattr(ros_poses, "POSES_PERIOD", 1e9)
     heard = Heard()
-    monkeypatch.setattr(heard.poses, "_told_at", ros_poses.time.monotonic())
+    monkeypatch.setattr(heard.poses, "_reported_at", ros_poses.time.monotonic())
     heard.poses.find({"/r1/amcl_pose": AMCL}, ["/r1"])
     heard.topics["/r1/amcl_pose"](pose(PoseWithCovarianceStamped, 1, 0, 0))
     assert not heard.told

@@ -1,7 +1,7 @@
 """Graph algorithms on Markov automata: possible rows, end components, reachability.
 
 An end component is a set of states, with rows that never leave it and lead from each of its states
-to each other: a policy can stay in it forever. See L. de Alfaro, *Formal Verification of
+to every other: a policy can stay in it forever. See L. de Alfaro, *Formal Verification of
 Probabilistic Systems* (Stanford University, 1997).
 """
 

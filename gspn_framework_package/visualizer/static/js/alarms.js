@@ -64,7 +64,7 @@ export class Alarms {
     if (text.scrollHeight <= text.clientHeight + 2 && !follows.length) return;
     const whole = [
       h("p.whole", element.title),
-      size && h("p", `The change, from what began since: ${size}.`),
+      size && h("p", `Estimated change since then: ${size}.`),
       follows.length > 0 && h("p.muted", "From the same cause:"),
       follows.map((one) => h("p.whole", one)),
     ];

@@ -45,7 +45,7 @@ export class AnswerPieces {
   }
 
   /** Why answers have intervals, if they have. */
-  whyIntervals(result, text = "In brackets: what the answers may be") {
+  whyIntervals(result, text = "In brackets: the intervals of the answers") {
     const sources = result.interval_sources;
     return sources && h("p.muted", `${text}, since ${sources.join(" and ")}.`);
   }

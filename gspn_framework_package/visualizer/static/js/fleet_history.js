@@ -74,14 +74,14 @@ function filters(names, changed) {
 async function ask(answer) {
   const mine = (latest += 1);
   answer.inert = true; // its rows answer an earlier request
-  const [told, daily] = await Promise.all([
+  const [reported, daily] = await Promise.all([
     attempt(() => get("history/report", asked)),
     attempt(() => get("history/report", { ...asked, by: "day" })),
   ]);
   if (mine !== latest) return;
   answer.inert = false;
-  if (!told || !daily) return;
-  answer.replaceChildren(...plots(daily.rows), report(told), h("div", { id: "fleet-moments" }));
+  if (!reported || !daily) return;
+  answer.replaceChildren(...plots(daily.rows), report(reported), h("div", { id: "fleet-moments" }));
   await tellMoments({});
 }
 
@@ -151,7 +151,7 @@ function report({ rows, left_out: leftOut }) {
   const cells = (row) => {
     const onclick = () => tellMoments(ofRow(row));
     const link = h("button.link", { text: nameOf(row[group]), title: "What happened", onclick });
-    const values = [share(row.use), ...COLUMNS.map(([, told]) => told(row))];
+    const values = [share(row.use), ...COLUMNS.map(([, reported]) => reported(row))];
     return [h("th", { scope: "row" }, link), ...values.map((value) => h("td", value))];
   };
   const heads = columns([group, "Use", ...COLUMNS.map(([head]) => head)]);
@@ -173,14 +173,16 @@ function ofRow(row) {
 /** The failures, alarms, orders and longest waits, each with a link to its replay. */
 async function tellMoments(narrower) {
   const mine = (latestMoments += 1);
-  const told = await attempt(() => get("history/moments", { ...asked, ...narrower, by: "robot" }));
+  const reported = await attempt(() =>
+    get("history/moments", { ...asked, ...narrower, by: "robot" }),
+  );
   const list = $("fleet-moments");
-  if (!told || !list || mine !== latestMoments) return;
+  if (!reported || !list || mine !== latestMoments) return;
   const about = Object.values(narrower)[0];
   list.replaceChildren(
     h("h3", about ? `What happened: ${about}` : "What happened"),
-    told.moments.length
-      ? h("ul.fleet-moments", told.moments.map(momentOf))
+    reported.moments.length
+      ? h("ul.fleet-moments", reported.moments.map(momentOf))
       : h("p.muted", "No failures, alarms, orders or waits."),
   );
 }

@@ -336,7 +336,7 @@ export class Labels {
       node.label = s("text.label", node.text);
       node.element.append(node.label);
     }
-    // not inherited from the drawing: that would compute the style of everything in it anew
+    // not inherited from the drawing: that would compute the style of everything in it again
     node.label.style.fontSize = `${(this.shown / this.k).toFixed(2)}px`;
     node.label.setAttribute("x", (node.base[0] + spot[0]).toFixed(1));
     node.label.setAttribute("y", (node.base[1] + spot[1]).toFixed(1));

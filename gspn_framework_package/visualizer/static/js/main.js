@@ -34,7 +34,7 @@ const MODE_SAYS = {
   SIMULATE: "the token game; nothing moves in the world",
 };
 
-/** What shows the scene of the model. */
+/** The views that show the scene of the model. */
 const VIEWS = "view list inspector robots analysis optimise story log line".split(" ");
 
 class Page {

@@ -29,20 +29,20 @@ export class ModelPanel {
 
   /** The section with the present state of the comparison; null if there is none. */
   element() {
-    const told = this.model.mode === "LIVE" ? this.model.latest.model : null;
-    if (!told) return null;
-    if (told !== this.told) {
-      this.told = told;
-      this.update(told);
+    const reported = this.model.mode === "LIVE" ? this.model.latest.model : null;
+    if (!reported) return null;
+    if (reported !== this.reported) {
+      this.reported = reported;
+      this.update(reported);
     }
     return this.section;
   }
 
-  update(told) {
-    this.say(this.says, `${told.says[0].toUpperCase()}${told.says.slice(1)}.`);
-    this.body.hidden = !told.curves;
-    if (!told.curves) return;
-    const names = told.curves.map(({ name }) => name);
+  update(reported) {
+    this.say(this.says, `${reported.says[0].toUpperCase()}${reported.says.slice(1)}.`);
+    this.body.hidden = !reported.curves;
+    if (!reported.curves) return;
+    const names = reported.curves.map(({ name }) => name);
     if (names.join("\n") !== this.names) {
       const kept = this.choice.value;
       this.names = names.join("\n");
@@ -50,15 +50,15 @@ export class ModelPanel {
       this.choice.value = names.includes(kept) ? kept : names[0];
     }
     this.draw();
-    this.strips.replaceChildren(...told.streams.map((stream) => strip(stream)));
+    this.strips.replaceChildren(...reported.streams.map((stream) => strip(stream)));
     this.say(
       this.stated,
-      `One false alarm in ${number(told.false_alarm_every / 86400)} days, over all strips together.`,
+      `One false alarm in ${number(reported.false_alarm_every / 86400)} days, over all strips together.`,
     );
   }
 
   draw() {
-    const curve = this.told.curves.find(({ name }) => name === this.choice.value);
+    const curve = this.reported.curves.find(({ name }) => name === this.choice.value);
     if (!curve || !curve.points.length) return;
     const [time, count] = curve.points[curve.points.length - 1],
       [low, high] = band(curve.growth, time);

@@ -85,7 +85,7 @@ function timeFacts(show, timing, body) {
   ];
 }
 
-/** What was assumed about time. */
+/** The assumptions about time. */
 export function assumed(timing) {
   return h(
     "ul",

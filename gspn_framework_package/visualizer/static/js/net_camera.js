@@ -161,7 +161,8 @@ export class Camera {
     return stretch < BLURRED && fills(dx, width) && fills(dy, height);
   }
 
-  /** What takes longer than a frame in a large net: draw what is visible at this zoom, lines and arrowheads so thick,
+  /** The part of a zoom that takes longer than a frame in a large net: draw what is visible at this
+  zoom, lines and arrowheads so thick,
    * and so large, that they are, and hide the nodes that are not in view. */
   rest() {
     const { k, x, y } = (this.drawn = this.now);

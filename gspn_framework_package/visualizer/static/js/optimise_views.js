@@ -146,7 +146,7 @@ export class OptimiseViews {
       ),
       h(
         "p.muted",
-        "What it costs: the gain without a condition, or with a bound that is lower by 1.",
+        "The cost of a condition: the gain without it, or with a bound that is lower by 1.",
       ),
     );
   }

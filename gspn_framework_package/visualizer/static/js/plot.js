@@ -137,8 +137,8 @@ export class Chart {
     const said =
       x === null ? [] : this.curves.map(({ name, points }) => [name, valueAt(points, x)]);
     const known = said.filter(([, value]) => value !== null);
-    const told = known.map(([name, value]) => `${name}: ${rounded(value, 4)}`);
-    this.values.textContent = x === null ? "" : [`${this.xName} ${short(x)}`, ...told].join(" · ");
+    const texts = known.map(([name, value]) => `${name}: ${rounded(value, 4)}`);
+    this.values.textContent = x === null ? "" : [`${this.xName} ${short(x)}`, ...texts].join(" · ");
     if (x === null) return;
     const [from, to] = this.range;
     const at = LEFT + ((x - from) / (to - from)) * (W - LEFT - RIGHT);

@@ -34,7 +34,7 @@ export class RestingList extends EventTarget {
     this.cost = performance.now() - begun;
   }
 
-  /** Tell screen readers which row has the focus, and scroll to it. */
+  /** Announce to screen readers which row has the focus, and scroll to it. */
   showRow(row) {
     const { list } = this;
     list.setAttribute("aria-activedescendant", row.id);

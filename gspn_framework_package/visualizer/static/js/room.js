@@ -318,7 +318,7 @@ function mapPicture({ width, height, runs }, ink, paper) {
   return picture;
 }
 
-/** A disc, or an ellipse so many times as high as it is wide. */
+/** A disc, or an ellipse; the number is its height divided by its width. */
 function disc(c, x, y, radius, colour, height = 1) {
   c.fillStyle = colour;
   c.beginPath();

@@ -303,7 +303,7 @@ export class Tools {
     const moving = model.following ? model.mode === "LIVE" : model.playing;
     if (play) {
       play.textContent = moving ? "❚❚ Pause the view" : "▶ Play";
-      play.title = `${moving ? "Pause the view; the robots go on" : "Resume"} (Space)`;
+      play.title = `${moving ? "Pause the view; the robots continue" : "Resume"} (Space)`;
     }
     const small = $("play");
     const on = model.mode === "SIMULATE" ? this.running : moving;

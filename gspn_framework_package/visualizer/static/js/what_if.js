@@ -1,6 +1,7 @@
-// What if robots, or one of them, were slower, more, or called away more often: sliders move a band of predicted
-// firings. While one moves, a few short runs give a first look; when it rests, the exact mean follows where it can be
-// had, and a longer simulation. The page says which is shown.
+// *What if* there were more robots, or robots were slower or called away more often: sliders move
+// a band of predicted firings. While one moves, a few short runs give a first look; when it rests,
+// the exact mean follows where it can be had, and a longer simulation. The page says which is
+// shown.
 
 import { h, labelled, menu, number, options, question, refill, rounded } from "./dom.js";
 import { get, post } from "./api.js";
@@ -67,11 +68,11 @@ export class WhatIf {
 
   build() {
     const { robots, places, rates, each } = this.known;
-    const slider = (id, attributes, told) => {
+    const slider = (id, attributes, reported) => {
       const value = h("output");
       const input = h("input", { id: `wi-${id}`, type: "range", ...attributes });
       const tell = () => {
-        value.textContent = told(Number(input.value));
+        value.textContent = reported(Number(input.value));
         input.setAttribute("aria-valuetext", value.textContent);
       };
       input.oninput = () => {
@@ -185,7 +186,7 @@ export class WhatIf {
     this.draw();
   }
 
-  /** What the Markov chain says of a curve. */
+  /** The curve according to the Markov chain. */
   exactly(name, end) {
     const { states, throughput, half_widths: halves, why } = this.exact || {};
     if (why) return ` No exact answer: ${why}.`;

@@ -19,10 +19,10 @@ const TITLES = {
   command: "a program",
   plan: "another plan (subnet)",
 };
-/** What an action begins with, unless it is an object with empty texts. */
+/** The initial value of an action, unless it is an object with empty texts. */
 const START = { none: null, function: "", command: { command: [""] } };
 
-/** What a setting begins with whose parameter has this type in the source. */
+/** The initial value of a setting whose parameter has this type in the source. */
 const START_OF = { bool: false, int: 0, float: 0, list: [], tuple: [], dict: {} };
 
 const SENT = { server: "goal", service: "request", publish: "message" };

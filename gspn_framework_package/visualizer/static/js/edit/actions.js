@@ -417,7 +417,7 @@ export class Actions {
     this.mode.say(`${plural(this.mode.selection.size, "element")} chosen`);
   }
 
-  /** The selection as a part of a net; null, and said so, if no node is selected. */
+  /** The selection as a part of a net; null, with a message, if no node is selected. */
   part(act) {
     const { mode } = this;
     const part = copied(mode.document.state, mode.selection, mode.canvas.positions());

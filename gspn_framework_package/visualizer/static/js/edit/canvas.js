@@ -201,13 +201,13 @@ export class Canvas extends EventTarget {
     return found?.[0];
   }
 
-  /** What "group:TITLE" stands for, the keys of its nodes; any other key stands for itself. */
+  /** The keys of the nodes of "group:TITLE"; for any other key, the key itself. */
   keysOf(key) {
     const nodes = key.startsWith("group:") && this.groups.get(key.slice("group:".length));
     return nodes ? nodes.map((node) => node.key) : [key];
   }
 
-  /** The title of the group that is selected, whole and alone; undefined: none. */
+  /** The title of the selected group, if the selection is exactly one group; else undefined. */
   get group() {
     const nodes = [...this.chosen].filter((key) => this.byKey.has(key));
     const all = (title) => {

@@ -183,7 +183,7 @@ export class CanvasPointer extends Pointer {
     event.preventDefault();
   }
 
-  /** Whether a drag from here draws an arc though no handle and no tool says so. */
+  /** Whether a drag from here draws an arc although neither a handle nor a tool is active. */
   drawsFrom(event, node, point) {
     const plain = !this.mode.tool && !event.shiftKey && event.pointerType !== "touch";
     return node && plain && this.onRim(node, point);

@@ -124,7 +124,7 @@ export class Files {
     return done;
   }
 
-  /** What a request says about the state that it sends. */
+  /** The fields of a request that describe the state that it sends. */
   basis(etag = this.mode.opened.etag) {
     return { etag, version: this.mode.opened.version, page: this.mode.visit };
   }
@@ -446,7 +446,7 @@ export class Files {
     );
   }
 
-  /** Go on with a draft and its history; without one, undo restores the content of the files. */
+  /** Continue with a draft and its history; without one, undo restores the content of the files. */
   continueDraft({ document: drafted, history }) {
     const { document: edited, opened } = this.mode;
     opened.sources = history?.sources ?? {};

@@ -14,7 +14,7 @@ const TYPES = { string: "str", number: "float", boolean: "bool", array: "list", 
 /** A parameter as people read it: its name, and its type if that is known. */
 export const parameterText = ({ name, type }) => (type ? `${name}: ${type}` : name);
 
-/** What an action in a place begins with. `settings`: the values that the plan gives to it. */
+/** The initial source of an action in a place. `settings`: the values that the plan gives to it. */
 function stubOf(name, place, settings, leaving) {
   const typed = Object.entries(settings).map(([key, value]) =>
     parameterText({ name: key, type: isReference(value) ? "" : TYPES[typeOf(value)] }),
@@ -31,7 +31,8 @@ function stubOf(name, place, settings, leaving) {
 `;
 }
 
-/** What the server says of a function that the page may write: its source, or why not; undefined until it has answered.
+/** The server's answer about a function that the page may write: its source, or why not; undefined
+until it has answered.
  * It is asked again when the palette has changed. */
 function lookedUp(form, name, ask) {
   if (form.looked?.palette !== form.palette) form.looked = { palette: form.palette, at: new Map() };

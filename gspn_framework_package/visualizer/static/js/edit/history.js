@@ -7,7 +7,7 @@ const LARGEST = 1_000_000; // characters; of a longer history, the earliest edit
 
 const isObject = (value) => typeof value === "object" && value !== null;
 
-/** What turns `from` into `to`, two states that share what is unchanged. */
+/** The changes from `from` to `to`, two states that share unchanged parts. */
 function difference(from, to) {
   if (from === to) return null;
   if (!isObject(from) || !isObject(to) || Array.isArray(from) !== Array.isArray(to))

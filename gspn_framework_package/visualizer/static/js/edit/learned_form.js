@@ -57,13 +57,13 @@ function durationProblem(schema, value) {
     (key) => !["distribution", "of", "mean", ...keys].includes(key),
   );
   if (foreign) return `${foreign} does not belong to ${kind}`;
-  if (!follows && kind !== "deterministic" && !(value.mean > 0)) return "the mean is more than 0";
-  if (kind === "lognormal" && value.sigma > 10) return "sigma is at most 10";
-  if (kind === "uniform" && !(value.low < value.high)) return "low is below high";
+  if (!follows && kind !== "deterministic" && !(value.mean > 0)) return "mean must be above 0";
+  if (kind === "lognormal" && value.sigma > 10) return "sigma must be at most 10";
+  if (kind === "uniform" && !(value.low < value.high)) return "low must be below high";
   if (kind === "empirical") {
     const q = value.quantiles;
     if (q.some((it, i) => i && it < q[i - 1]) || q[0] === q.at(-1))
-      return "the times are listed from the shortest to the longest";
+      return "list the times from the shortest to the longest";
   }
   if (kind === "hyper-erlang") {
     const sum = value.branches.reduce((total, branch) => total + branch.probability, 0);

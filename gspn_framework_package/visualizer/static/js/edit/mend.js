@@ -1,4 +1,5 @@
-// Makes the changes that mend a finding, as the check lists them: {label, set: [[path, value], ...]}.
+// Makes the changes that fix a finding, as the check lists them: {label, set: [[path, value],
+// ...]}.
 
 import { h } from "../dom.js";
 
@@ -15,7 +16,7 @@ function put(part, [step, ...rest], value) {
 
 const POLICY = { places: [], rows: [] };
 
-/** The state of a PlanDocument with a finding mended. */
+/** The state of a PlanDocument with a finding fixed. */
 function mended(state, { set }) {
   let { plan, net, policy } = state;
   for (const [[first, ...rest], value] of set)
@@ -25,10 +26,10 @@ function mended(state, { set }) {
   return { plan, net, policy };
 }
 
-/** The button that mends a finding, as one edit; "" if there is no `mend`. A finding about an earlier state is not. */
-export function mendButton(mode, mend) {
+/** The button that fixes a finding, as one edit; "" if there is no `mend`. A finding about an
+earlier state is not. */ export function mendButton(mode, mend) {
   if (!mend) return "";
-  const text = `Mend it: ${mend.label}`;
+  const text = `Fix it: ${mend.label}`;
   const onclick = () => {
     mode.document.edit(text, (state) => mended(state, mend));
     mode.say(`Done: ${mend.label}. Undo takes it back.`);

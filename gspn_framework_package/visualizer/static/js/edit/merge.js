@@ -226,7 +226,7 @@ function withNeeded(state, states, merge) {
   return merge.conflicts.some(({ needed }) => needed) ? { ...state, net } : state;
 }
 
-/** Nodes and groups of one name that both added and that differ: the own ones get free names. */
+/** Nodes and groups that both sides added under one name and that differ: ours get free names. */
 function apart(base, mine, theirs) {
   const nodes = ({ net }) =>
     new Map(

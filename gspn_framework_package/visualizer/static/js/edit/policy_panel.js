@@ -53,7 +53,7 @@ const meet = (one, other) =>
     ),
   );
 
-/** What decides which of several rows comes first: wildcards, comparisons. */
+/** The sort key of rows: wildcards, comparisons. */
 const looseness = ({ marking }) => [
   marking.filter(wild).length,
   marking.filter((cell) => /[<>!]/.test(cell)).length,

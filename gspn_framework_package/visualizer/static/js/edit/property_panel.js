@@ -53,7 +53,7 @@ const LOOK_AGAIN = 4000; // ms after which the palette is fetched again, since u
 class Palette {
   constructor(mode) {
     this.mode = mode;
-    this.told = []; // callbacks for the next answer
+    this.reported = []; // callbacks for the next answer
     this.text = ""; // the last answer
     this.look();
     const again = () => !document.hidden && this.look();
@@ -65,7 +65,7 @@ class Palette {
 
   /** Pass the palette to `take`, now and whenever it changes. */
   follow(take) {
-    this.told.push(take);
+    this.reported.push(take);
     if (this.text) take(JSON.parse(this.text));
   }
 
@@ -78,7 +78,7 @@ class Palette {
     const text = found && JSON.stringify(found);
     if (!text || text === this.text || mode.closed) return;
     this.text = text;
-    for (const take of this.told) take(JSON.parse(text));
+    for (const take of this.reported) take(JSON.parse(text));
   }
 }
 

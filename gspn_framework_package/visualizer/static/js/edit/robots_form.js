@@ -151,8 +151,8 @@ export function robotRow(form, lens, robot, i, places) {
           show: (words) => (words ?? []).join(", "),
           parse: (text) => {
             const words = text.split(",").map((word) => word.trim());
-            const told = [...new Set(words.filter(Boolean))];
-            return [told.length ? told : undefined];
+            const reported = [...new Set(words.filter(Boolean))];
+            return [reported.length ? reported : undefined];
           },
         },
       ),
@@ -160,7 +160,7 @@ export function robotRow(form, lens, robot, i, places) {
     ),
     form.section(
       actions.key,
-      `Actions of its own${robot.actions ? ` (${Object.keys(robot.actions).length})` : ""}`,
+      `Own actions${robot.actions ? ` (${Object.keys(robot.actions).length})` : ""}`,
       false,
       Object.keys(robot.actions ?? {}).map((place) => {
         const own = actions.at(place, { given: true });
@@ -186,7 +186,7 @@ export function robotRow(form, lens, robot, i, places) {
           form.document.plan.actions[place]?.plan === undefined
             ? (form.document.plan.actions[place] ?? null)
             : null,
-          `Give ${robot.name} an action of its own`,
+          `Give ${robot.name} its own action`,
         ),
       ),
     ),

@@ -1,4 +1,4 @@
-// What the team does when an action fails, or when a robot is lost.
+// The forms for failures of actions and for lost robots.
 
 import { NAMES } from "./names.js";
 import { problemOf, resolved, typeOf } from "./schema.js";
