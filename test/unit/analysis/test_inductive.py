@@ -23,7 +23,7 @@ from gspn_framework_package.analysis.proofs.checker import (
 from gspn_framework_package.analysis.proofs.inductive import search_inductive
 from gspn_framework_package.analysis.proofs.ladder import NOT_DECIDED, PROVEN, decide_question
 from gspn_framework_package.analysis.proofs.questions import NEVER, MarkingQuestion, problem_of
-from gspn_framework_package.analysis.proofs.witness import played_to
+from gspn_framework_package.analysis.proofs.witness import GuidedSearch, played_to
 from gspn_framework_package.analysis.watch import Watch
 from gspn_framework_package.model.builder import NetBuilder
 from gspn_framework_package.model.errors import CancelledError, LimitError
@@ -148,6 +148,7 @@ def test_a_sum_with_a_fact_that_cannot_hold_by_itself_is_a_reason():
 
 def test_without_z3_the_ladder_is_shorter_and_says_so(monkeypatch):
     monkeypatch.setitem(sys.modules, "z3", None)
+    monkeypatch.setattr(GuidedSearch, "go_on", lambda *given: None)  # it would use up the time
     answer = decide_question(desk(), TWO_AT_WORK, limit=50, seconds=2.0)
     assert answer.verdict == NOT_DECIDED
     (step,) = [step for step in answer.steps if step.name == "inductive invariants"]
@@ -168,6 +169,8 @@ def test_what_only_precedence_excludes_is_proven_however_much_there_is():
 
 
 def test_a_wrong_answer_of_z3_proves_nothing_and_shows_nothing(monkeypatch):
+    # it would look for firings that lead there until its time is over
+    monkeypatch.setattr(GuidedSearch, "go_on", lambda *given: None)
     wrong = changed("lemmas", 0, "some", 0, 1, to=0)
     for answer in (wrong, ["ask", "ask"], ["note"]):
         monkeypatch.setattr(ladder, "search_inductive", lambda *_, a=answer: a)
