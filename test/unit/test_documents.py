@@ -77,6 +77,9 @@ TOPICS = {
 SECONDS = 1.0
 """What ``--seconds`` is cut to, and what a computed policy is simulated for (else 5 s)."""
 
+PRECISION = 0.5
+"""What ``--precision`` is widened to: fewer runs reach it."""
+
 PREDICTED = 20
 """How many runs are simulated where the document says 100 or more, or, of a comparison, nothing (as many as it needs)."""
 
@@ -200,6 +203,7 @@ def _try_gspn(command: Command, words: list, sandbox: Path, capfd: pytest.Captur
 
 def _shorter(command: Command) -> str:
     line = re.sub(r"(?<=--seconds[= ])[0-9.]+", "%g" % SECONDS, command.line)
+    line = re.sub(r"(?<= --precision )[0-9.]+", "%g" % PRECISION, line)
     line = re.sub(r"(?<= --replications )[0-9]{3,}", str(PREDICTED), line)
     line = re.sub(
         r" compare (?!.*--rep(?:lay|lications))", r"\g<0>--replications %d " % PREDICTED, line
