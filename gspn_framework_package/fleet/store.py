@@ -130,7 +130,7 @@ class Store:
     # -- runs --------------------------------------------------------------------------------------
 
     def runs(self) -> List[Manifest]:
-        """All runs, in the order of their beginning. :raises InputError: the file of one is
+        """All runs, ordered by start time. :raises InputError: the file of one is
         damaged."""
         folder = os.path.join(self.folder, "runs")
         names = [name for name in sorted(os.listdir(folder)) if name.endswith(".json")]

@@ -52,7 +52,7 @@ and its layout is used if its zoom is more than :data:`MUCH_LARGER` times as lar
 MUCH_LARGER = 1.5
 
 SPACE = (110.0, 80.0)
-"""Distances of neighbours side by side, and one below the other, in a layout by ``sfdp``."""
+"""Horizontal and vertical distances of neighbours in a layout by ``sfdp``."""
 
 MOST_PUSHES = 60
 """How often nodes that are nearer than :data:`SPACE` are pushed apart."""

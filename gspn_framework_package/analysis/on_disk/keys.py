@@ -69,7 +69,7 @@ class KeyCode:
 
 
 def distinct(keys: Keys) -> Keys:
-    """The different keys of an array, sorted."""
+    """The distinct keys of an array, sorted."""
     # the stable sort merges the sorted runs of the array
     ordered = np.sort(keys, kind="stable")
     return ordered[differs(ordered)]

@@ -96,6 +96,6 @@ class _EagerConnection:
                         self._stuck = False
                         return
                     rest = self._waiting.popleft()
-        except Exception as error:  # rospy and sockets raise many kinds
+        except Exception as error:  # rospy and sockets raise many kinds of exceptions
             with self._lock:
                 self._error = error

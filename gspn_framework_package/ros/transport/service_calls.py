@@ -100,7 +100,7 @@ class _Line:
             uri, service, service_class, request, answered, failed = task
             try:
                 response = self._call(uri, service, service_class, request)
-            except Exception as error:  # rospy and sockets raise many kinds
+            except Exception as error:  # rospy and sockets raise many kinds of exceptions
                 self._owner.failures += 1
                 rospy.logdebug("calling %s failed: %s", service, error)
                 response = None

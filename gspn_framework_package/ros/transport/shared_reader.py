@@ -113,7 +113,7 @@ class _Reader:
         try:
             watched.deliver()  # rospy may have read more than the header
             self._watch(watched)
-        except Exception:  # rospy and sockets raise many kinds
+        except Exception:  # rospy and sockets raise many kinds of exceptions
             _give_back(watched)
 
     def _watch(self, watched: _Watched) -> None:
