@@ -256,7 +256,8 @@ def _with_room(table: Words, states: int) -> Words:
     """The table, or a larger one with the same entries, such that this many states fill at most
     half of it."""
     while 2 * states > len(table):
-        larger = np.zeros(2 * len(table), dtype=np.uint64)
+        larger = np.empty(2 * len(table), dtype=np.uint64)  # in huge pages, unlike zeros
+        larger.fill(0)
         _refill(table, larger)
         table = larger
     return table
@@ -411,9 +412,7 @@ def _expand(
                         for w in range(words):
                             batch[n, w] = states[s, w] + change[t, w]
                             hit[w] |= batch[n, w] & guard[w]
-                        value = _hash(batch, n, words)
-                        hashes[n] = value
-                        touched ^= table[value >> shift]
+                        hashes[n] = _hash(batch, n, words)
                         labels[arcs + n] = t
                         n += 1
                 first = class_ends[c]
@@ -425,10 +424,14 @@ def _expand(
                 for v in range(words):
                     overflow[v] = hit[v]
                 return arcs, misses, touched
+        # such a short loop has more accesses in flight than one that computes, too
+        for i in range(n):
+            touched ^= table[hashes[i] >> shift]
         for i in range(n):
             entry = table[hashes[i] >> shift]
             if entry != _ZERO:
-                touched ^= states[np.int64(entry & _LOW) - 1, 0]
+                number = np.int64(entry & _LOW) - 1
+                touched ^= states[number, 0] ^ states[number, words - 1]
         for i in range(n):
             _, number = _find(width, table, states, batch, i, hashes[i], shift)
             targets[arcs + i] = number
