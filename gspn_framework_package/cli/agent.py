@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import gc
 import os
 import signal
 import threading
@@ -26,10 +25,6 @@ from gspn_framework_package.model.plan import Plan, Synchronisation
 
 LEAVING_TIME = 5.0
 """Seconds within which an agent must end after a request."""
-
-_OBJECTS = 10_000
-"""Number of new objects after which Python looks for reference cycles, of which an agent makes few
-(Python's default: 700)."""
 
 OPTIONS: Arguments = {
     Argument("plan", "PLAN"): "a plan file, or a folder with a plan.json",
@@ -96,7 +91,6 @@ def run(args: argparse.Namespace) -> int:
         args.allow_commands,
     )
     over = threading.Event()
-    gc.set_threshold(_OBJECTS)
     host.start(lambda robot: over.set())
     code = EXIT_INTERRUPTED
     try:
