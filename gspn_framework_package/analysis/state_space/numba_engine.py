@@ -152,6 +152,9 @@ def explore(
 class _Rules(NamedTuple):
     """The parts of a packed net that the compiled code reads."""
 
+    first_word: Indices
+    first_need: Words
+    first_guard: Words
     need: Words
     need_guard: Words
     inhibit: Words
@@ -363,6 +366,7 @@ def _enter(
     return known
 
 
+# In one piece: a function called for each transition would cost as much as the test itself
 @KeptCode
 def _expand(
     width: _Width,
@@ -380,7 +384,8 @@ def _expand(
     that keeps the compiler from removing the touching.
     """
     words = len(width)
-    need, need_guard, inhibit, inhibit_guard, change, class_ends, guard = rules
+    first_word, first_need, first_guard = rules[:3]
+    need, need_guard, inhibit, inhibit_guard, change, class_ends, guard = rules[3:]
     targets, labels, ends, keys, key_arcs, overflow, batch, hashes, hit = found
     begin, end = share
     # what it writes fits, whatever _BLOCK was when this was compiled
@@ -397,6 +402,9 @@ def _expand(
             for c in range(len(class_ends)):
                 before = n
                 for t in range(first, class_ends[c]):
+                    g = first_guard[t]
+                    if ((states[s, first_word[t]] | g) - first_need[t]) & g != g:
+                        continue  # as most do in a large net
                     enabled = True
                     for w in range(words):
                         word = states[s, w]

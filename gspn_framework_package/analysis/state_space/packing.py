@@ -123,6 +123,11 @@ class PackedNet(Packing):
         self.change = np.zeros(size, dtype=np.uint64)
         for row, t in enumerate(self.order.tolist()):
             self._compile(row, t)
+        self.first_word = (self.need_guard != 0).argmax(axis=1)
+        """int array: the word of the first input place of each transition."""
+        rows = np.arange(len(self.order))
+        self.first_need = self.need[rows, self.first_word]
+        self.first_guard = self.need_guard[rows, self.first_word]
         self.initial = self.pack(net.initial_marking)
 
     def _compile(self, row: int, t: int) -> None:
