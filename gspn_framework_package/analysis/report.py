@@ -387,17 +387,17 @@ class ReportWork:
                 data["unsure"] = unsure
             data["residual"] = steady.residual
             data["method"] = steady.method
-            reported = steady.likeliest(COMPONENTS)
+            likeliest = steady.likeliest(COMPONENTS)
             data["components"] = [
-                self._component(component, len(steady.components) > 1) for component in reported
+                self._component(component, len(steady.components) > 1) for component in likeliest
             ]
             data["component_count"] = self._number_of(steady.components)
             space = self.analysis.space
             dead = [c.states for c in steady.components if self._is_deadlock(c)]
             data["deadlock_count"] = sum(space.count(chain.states[states]) for states in dead)
             data["probability_of_other_components"] = max(
-                1.0 - sum(c.probability for c in reported), 0.0
-            ) * (len(steady.components) > len(reported))
+                1.0 - sum(c.probability for c in likeliest), 0.0
+            ) * (len(steady.components) > len(likeliest))
             self.undecided.update(uncounted(self.analysis.left_out))
             if rewards:
                 data["reward"] = self._reward(measures, rewards)

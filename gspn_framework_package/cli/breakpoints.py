@@ -43,8 +43,8 @@ def run(args: argparse.Namespace) -> int:
     argument = ORDERS["breakpoints"].argument({"names": names})
     answers = team_client(args).breakpoints(argument, args.run_name)
     if args.json:
-        reported = {n: {"done": a.success, "message": a.message} if a else a for n, a in answers}
-        print(json.dumps(reported))
+        result = {n: {"done": a.success, "message": a.message} if a else a for n, a in answers}
+        print(json.dumps(result))
     else:
         for namespace, answer in answers:
             print("%s: %s" % (namespace, answer.message if answer else "does not answer"))

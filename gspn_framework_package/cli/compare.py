@@ -308,8 +308,8 @@ def comparison_text(result: LogComparison) -> Iterator[str]:
             raised = "  ALARM after %.1f s" % stream.alarms[0].at if stream.alarms else ""
             yield "%-44s %11.2f  %11.2f%s" % (name, nearest.value, nearest.threshold, raised)
         for alarm in monitor.alarms:
-            reported = alarm.at, max(alarm.since, 0.0), alarm.describe()
-            yield "ALARM after %.1f s, since about %.1f s: %s" % reported
+            row = alarm.at, max(alarm.since, 0.0), alarm.describe()
+            yield "ALARM after %.1f s, since about %.1f s: %s" % row
     yield ""
     yield "all thresholds together: one false alarm in %s" % _long(result.alarm_every)
     outside = sum(not m.inside for m in result.comparison.measures)

@@ -59,15 +59,15 @@ def run(args: argparse.Namespace) -> int:
                 )
     finally:
         film.close()
-    reported = {
+    result = {
         "film": args.film,
         "pictures": film.count,
         "seconds": round(time.monotonic() - begin, 1),
     }
     if args.json:
-        print(json.dumps(reported))
+        print(json.dumps(result))
     else:
-        print("%s: %d pictures in %.0f s" % (args.film, film.count, reported["seconds"]))
+        print("%s: %d pictures in %.0f s" % (args.film, film.count, result["seconds"]))
     return 0
 
 

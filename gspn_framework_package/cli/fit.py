@@ -184,9 +184,9 @@ def learn_from_logs(
         attempts, events = list(gathered.attempts), gathered.events
         notes, runs = list(gathered.notes), len(gathered.runs)
     for number, path in enumerate(bags, len(files)):
-        found, reported, of = _from_bag(plan, path, number)
+        found, remarks, of = _from_bag(plan, path, number)
         attempts += found
-        notes += reported
+        notes += remarks
         runs += of
     report = fit_plan(plan, attempts, events, choice, seed=seed, progress=progress, on=on)
     report = report._replace(notes=(*notes, *report.notes))
@@ -308,8 +308,8 @@ def needs_text(report: FitReport, within: float) -> List[str]:
     needs = report.needs(within)
     if not needs:
         return ["every value is known to %.3g %%" % (100 * within)]
-    reported = ["%d values are not known to %.3g %%:" % (len(needs), 100 * within)]
-    return reported + ["  " + need.text() for need in needs]
+    lines = ["%d values are not known to %.3g %%:" % (len(needs), 100 * within)]
+    return lines + ["  " + need.text() for need in needs]
 
 
 def _row(place: str, found: PlaceFit) -> Tuple[str, ...]:

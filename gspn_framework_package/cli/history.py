@@ -45,21 +45,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the subcommands of this verb with their arguments."""
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
 
-    reported = "read event logs into a store; of logs that have grown, only the new part is read"
-    made = commands.add_parser("ingest", help=reported, description=reported)
+    about = "read event logs into a store; of logs that have grown, only the new part is read"
+    made = commands.add_parser("ingest", help=about, description=about)
     add_options(made, _INGEST)
     made.epilog = "Exit codes: 0 all logs are in the store, 1 some are not, 2 wrong input or usage."
     made.set_defaults(command=_ingest)
 
-    reported = "show use, waiting, visits, failures, alarms and orders of the operator"
-    made = commands.add_parser("report", help=reported, description=reported)
+    about = "show use, waiting, visits, failures, alarms and orders of the operator"
+    made = commands.add_parser("report", help=about, description=about)
     add_options(made, _REPORT)
     add_options(made.add_mutually_exclusive_group(), _FORMS)
     made.epilog = "Days are in UTC. Exit codes: 0 shown, 2 wrong input or usage."
     made.set_defaults(command=_report)
 
-    reported = "query the tables stays, moments and totals in SQL"
-    made = commands.add_parser("sql", help=reported, description=reported)
+    about = "query the tables stays, moments and totals in SQL"
+    made = commands.add_parser("sql", help=about, description=about)
     add_options(made, {Argument("question", "SQL"): "a single SELECT", **_STORE})
     add_options(made.add_mutually_exclusive_group(), _FORMS)
     made.epilog = (

@@ -37,23 +37,23 @@ _JSON: Arguments = {"--json": "print JSON"}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the subcommands of this verb with their arguments."""
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for name, reported, command in (
+    for name, about, command in (
         ("team", "create an authority, and keys for each member, in a new folder", _make),
         ("add", "create keys for further members, or new keys for revoked ones", _add),
     ):
-        made = commands.add_parser(name, help=reported, description=reported)
+        made = commands.add_parser(name, help=about, description=about)
         add_options(made, {**_NEW_MEMBERS, **_JSON})
         made.set_defaults(command=command)
-    reported = "remove a member from the allow-list; then copy the new team.json to each router"
-    revoked = commands.add_parser("revoke", help=reported, description=reported)
+    about = "remove a member from the allow-list; then copy the new team.json to each router"
+    revoked = commands.add_parser("revoke", help=about, description=about)
     add_options(revoked, {**_FOLDER, Argument("name", "NAME"): "name of the member", **_JSON})
     revoked.set_defaults(command=_revoke)
-    reported = "create a key shared by all robots and operators of a team on ROS"
-    shared = commands.add_parser("shared", help=reported, description=reported)
+    about = "create a key shared by all robots and operators of a team on ROS"
+    shared = commands.add_parser("shared", help=about, description=about)
     add_options(shared, {Argument("file", "FILE"): "a new file; copy it to each robot"})
     shared.set_defaults(command=_share)
-    reported = "show the members of the team, and how long their certificates are valid"
-    shown = commands.add_parser("show", help=reported)
+    about = "show the members of the team, and how long their certificates are valid"
+    shown = commands.add_parser("show", help=about)
     add_options(
         shown, {Argument("folder", "DIR"): "the folder of the team or of one member", **_JSON}
     )

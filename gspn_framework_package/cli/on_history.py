@@ -105,14 +105,14 @@ class HistoryComparison(NamedTuple):
 
     def lines(self) -> Iterator[str]:
         """As text."""
-        drawn, shown = (sum(getattr(p, key) for p in self.new) for key in ("drawn", "recorded"))
+        drawn, recorded = (sum(getattr(p, key) for p in self.new) for key in ("drawn", "recorded"))
         yield "%d recorded run%s, %.4g robot-hours; %s attempts as recorded, %s (%.1f %%) drawn" % (
             self.runs,
             "" if self.runs == 1 else "s",
             self.robot_hours,
-            format(shown, ","),
+            format(recorded, ","),
             format(drawn, ","),
-            100 * drawn / max(shown + drawn, 1),
+            100 * drawn / max(recorded + drawn, 1),
         )
         yield "the old plan on its own record: %s firings, %s were recorded" % (
             format(self.played, ","),
@@ -266,10 +266,8 @@ def _of_one_net(
         if not differs:
             kept.append(run)
         elif part:
-            shown = run.name, run.seconds, differs
-            notes.append(
-                "%s is left out (%.4g s), its net is not that of the last plan: %s" % shown
-            )
+            row = run.name, run.seconds, differs
+            notes.append("%s is left out (%.4g s), its net is not that of the last plan: %s" % row)
         else:
             raise LogError("the nets of %s and %s differ: %s" % (last.name, run.name, differs))
     return kept, notes
@@ -399,8 +397,8 @@ def _worse(
         return
     certain = aim.significant or aim.low is None
     if aim.new < aim.old - abs(aim.old) * margin / 100 and certain:
-        shown = aim.name, aim.new, aim.old, aim.unit, margin
-        yield "%s: %.5g instead of %.5g %s, which is worse by more than %g %%" % shown
+        row = aim.name, aim.new, aim.old, aim.unit, margin
+        yield "%s: %.5g instead of %.5g %s, which is worse by more than %g %%" % row
 
 
 def _refused(played: Sequence[PlayedHistory]) -> Dict[str, int]:

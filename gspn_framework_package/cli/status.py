@@ -56,8 +56,8 @@ def print_table(statuses: Dict[str, Optional[Dict[str, Any]]]) -> None:
         pause = ", paused: actions are stopped" if longest.get("stopped") else ", paused"
         paused = pause if longest["paused"] else ""
         over = ", over: %s" % longest["ended"] if longest["ended"] else ""
-        reported = run_name, longest["synchronisation"], paused + over
-        print("run %s, %s synchronisation%s" % reported)
+        row = run_name, longest["synchronisation"], paused + over
+        print("run %s, %s synchronisation%s" % row)
         rows: List[Sequence[str]] = [_COLUMNS]
         for robot in longest["robots"]:
             own = next((s for s in of_run if s["robot"] == robot["robot"]), None)

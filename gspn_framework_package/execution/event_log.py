@@ -405,9 +405,9 @@ class DamagedLogError(LogError):
 
 def follow_sum(chain: str, line: bytes, path: str, number: int) -> str:
     """The running hash after a line. :raises DamagedLogError: the line records a different one."""
-    text, reported = _without_sum(line)
+    text, recorded = _without_sum(line)
     chain = next_sum(chain, text)
-    if reported != chain:
+    if recorded != chain:
         raise DamagedLogError(
             "does not follow from the lines before it", file=path, line=number, hint=DAMAGED
         )

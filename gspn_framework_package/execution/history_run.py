@@ -335,8 +335,10 @@ class _RecordedEnvironment(Environment):
         super().__init__(run.game, random.Random(run.plan.seed))
         self._transitions = [t for t in self._transitions if t not in run.game.submissions]
         net = run.plan.net
-        shown = {names.new(name): iter(exposures) for name, exposures in recorded.items()}
-        self._shown = {t: shown.get(net.transitions[t].name, iter(())) for t in self._transitions}
+        exposed = {names.new(name): iter(exposures) for name, exposures in recorded.items()}
+        self._exposures = {
+            t: exposed.get(net.transitions[t].name, iter(())) for t in self._transitions
+        }
         self._left = {t: self._next(t) for t in self._transitions}
         self._busy: Dict[int, int] = {}
         self._since = 0.0
@@ -345,7 +347,7 @@ class _RecordedEnvironment(Environment):
     def _next(self, t: int) -> float:
         rate = self._game.net.transitions[t].number
         drawn = self._source.expovariate(rate) if rate > 0 else math.inf
-        return next(self._shown[t], drawn)
+        return next(self._exposures[t], drawn)
 
     def _advance(self, now: float) -> None:
         for t, busy in self._busy.items():

@@ -100,10 +100,10 @@ def history_report(store: Store, question: Question) -> List[Dict[str, Any]]:
     names = [*question.by, "visits", *_SECONDS, *_COUNTS]
     found = []
     for row in rows:
-        reported = {name: plain_cell(value) for name, value in zip(names, row)}
-        time = sum(reported[name] for name in _SECONDS)
-        reported["use"] = reported["acting_s"] / time if time > 0 else None
-        found.append(reported)
+        use = {name: plain_cell(value) for name, value in zip(names, row)}
+        time = sum(use[name] for name in _SECONDS)
+        use["use"] = use["acting_s"] / time if time > 0 else None
+        found.append(use)
     return found
 
 

@@ -373,7 +373,7 @@ class StayFollower:
 
 
 def _use(phase: Phase) -> int:
-    reported = phase.report
+    report = phase.report
     if phase is Phase.PAUSED:
         return 2
-    return 0 if reported.acts else 1 if reported.waits else 3 if reported.failed else 4
+    return 0 if report.acts else 1 if report.waits else 3 if report.failed else 4

@@ -97,13 +97,13 @@ class Store:
                 hint="create one in a new or empty folder with 'gspn history ingest LOG --store "
                 "DIR'",
             )
-        reported = read_json(first)
-        if not isinstance(reported, dict) or reported.get("format") != STORE_FORMAT:
+        header = read_json(first)
+        if not isinstance(header, dict) or header.get("format") != STORE_FORMAT:
             raise InputError("does not describe a store of a fleet's history", file=first)
-        if reported.get("version") != STORE_VERSION:
+        if header.get("version") != STORE_VERSION:
             raise InputError(
                 "has version %s; this program reads version %d"
-                % (reported.get("version"), STORE_VERSION),
+                % (header.get("version"), STORE_VERSION),
                 file=folder,
             )
 

@@ -294,7 +294,7 @@ def _rows(policy: Mapping[str, Any]) -> Dict[_Key, Mapping[str, Any]]:
             continue
         cells = row.get("marking")
         counts = [str(c).strip() for c in (cells if isinstance(cells, list) else ())]
-        reported = sorted((p, c) for p, c in zip(names, counts) if c != "-")
-        matches = ", ".join("%s: %s" % item for item in reported) or "any marking"
+        counted = sorted((p, c) for p, c in zip(names, counts) if c != "-")
+        matches = ", ".join("%s: %s" % item for item in counted) or "any marking"
         _put(found, (matches,), {"row": number, **row})
     return found

@@ -418,9 +418,9 @@ def %s(is_cancelled, **ports):
 
 
 def _actions_text(functions: Mapping[str, str]) -> str:
-    reported = ((name, re.sub(r"[\W_]+", " ", node)) for node, name in functions.items())
+    comments = ((name, re.sub(r"[\W_]+", " ", node)) for node, name in functions.items())
     return _ACTIONS % {
-        "functions": "\n".join(_FUNCTION % each for each in reported),
+        "functions": "\n".join(_FUNCTION % each for each in comments),
         "table": "\n".join("    %s: %s," % (json.dumps(n), f) for n, f in functions.items()),
         "succeeds": ON_SUCCESS,
         "fails": ON_FAILURE,

@@ -277,10 +277,10 @@ class PlanTiming:
                 "cannot depend on their data" % listed(plan.tasks.queues)
             )
         if plan.tasks.order:
-            reported = ["%s (by %s)" % item for item in plan.tasks.order.items()]
+            orders = ["%s (by %s)" % item for item in plan.tasks.order.items()]
             self.assumptions.append(
                 "tokens are counted, so the order in which tasks are taken from %s changes nothing "
-                "here; it does in runs, and in what simulate --log records" % listed(reported)
+                "here; it does in runs, and in what simulate --log records" % listed(orders)
             )
 
 

@@ -60,7 +60,7 @@ def _messages_of(log: LogFile, whole: bool, others: Set[str]) -> Iterator[Record
         logs; otherwise only the robot that keeps the log is reported.
     """
     reader = _LogReader(log)
-    reported: Dict[str, MessageFields] = {}
+    latest: Dict[str, MessageFields] = {}
     with log.open() as file:
         for number, (record, _) in enumerate(log.records(file, log.begin, 2), 2):
             for message in reader.messages(record, number):
@@ -69,9 +69,9 @@ def _messages_of(log: LogFile, whole: bool, others: Set[str]) -> Iterator[Record
                     continue
                 if message.kind != "FiredTransition":
                     new = {name: v for name, v in message.fields.items() if name != "slot"}
-                    if reported.get(message.topic) == new:
+                    if latest.get(message.topic) == new:
                         continue
-                    reported[message.topic] = new
+                    latest[message.topic] = new
                 yield message
 
 

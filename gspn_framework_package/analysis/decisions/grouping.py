@@ -81,11 +81,11 @@ def present_choices(team: SizedTeam) -> Decided:
     table = _Table(team)
     problem = team.problem
     net = problem.plan.net
-    reported = answers_of(problem.plan, problem.plan.policy, problem.stages)
+    policy_answers = answers_of(problem.plan, problem.plan.policy, problem.stages)
     states = team.states_in[_first_states(team)]
     chosen: List[Dict[int, float]] = [{} for _ in range(len(team.distinct))]
     for p in table.asking:
-        numbers, answers = reported.of(p, states)
+        numbers, answers = policy_answers.of(p, states)
         leaving = net.immediate_from[p]
         enabled = {t: table.enabled[t] for t in leaving}
         for g in np.flatnonzero(table.asks[p]).tolist():

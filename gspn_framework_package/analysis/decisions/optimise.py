@@ -231,21 +231,21 @@ class _Exactly:
     def _wide(self, answer: TeamSolution) -> List[str]:
         """The remark if, according to the interval, the policy may not be optimal."""
         missed = [constraint for constraint in answer.constraints if not constraint.kept]
-        reported = [
+        missing = [
             "whether '%s' can be kept by a policy that sees only the marking: this one has %.6g of "
             "%g" % (constraint.name, constraint.value or 0.0, constraint.bound or 0.0)
             for constraint in missed
         ]
         if self._request.uncertain:
-            return [*reported, *self._open(answer)]
+            return [*missing, *self._open(answer)]
         value = answer.grouped.evaluated.value
         best = answer.upper if self._objective.maximise else answer.lower
         scale = max(abs(value), abs(best))
         gap = abs(best - value)
         if gap <= 2 * self._request.width * scale:
-            return reported
+            return missing
         return [
-            *reported,
+            *missing,
             *answer.grouped.notes,
             "whether another policy is better, by at most %.2g %%: the bound is that of policies "
             "that also see which robots are done, and randomise among all that robots could do"

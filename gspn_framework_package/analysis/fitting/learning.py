@@ -137,8 +137,8 @@ class FitReport(NamedTuple):
         :param within: what half of a 95 % interval may be: as a share of a mean duration or a
             rate, or the difference of a probability.
         """
-        shown = self.places, self.rates, self.unseen, self.rare, self.arrivals, self.robot_seconds
-        return list(find_needs(*shown, within))
+        learned = self.places, self.rates, self.unseen, self.rare, self.arrivals, self.robot_seconds
+        return list(find_needs(*learned, within))
 
     def to_json(self, within: float = WITHIN) -> Dict[str, Any]:
         """The report as a JSON object; ``within`` as in :meth:`needs`."""

@@ -51,7 +51,7 @@ class ReactingChecks:
             if plan.acts[p]
         ]
         if interrupting:
-            reported = [
+            interruptions = [
                 "%s (%s) interrupts %s"
                 % (net.transitions[t].name, self._source(net.transitions[t].name), place)
                 for t, place in interrupting
@@ -59,7 +59,7 @@ class ReactingChecks:
             self._list.add(
                 "events",
                 Severity.OK,
-                "; ".join(reported[:LISTED]) + _more(reported),
+                "; ".join(interruptions[:LISTED]) + _more(interruptions),
                 events=[
                     {
                         "transition": net.transitions[t].name,

@@ -387,8 +387,8 @@ class Consensus(ReplicaPart):
         if not self.config.partial and self.config.is_small:
             origins = {item.origin.robot for item in body.batch.items}
             known = {self.config.name, message.sender}
-            reported = [m for m in self.electorate.others() if m in origins and m not in known]
-            self.outbox.send_all(reported, Accepted(body.slot, ballot, []))
+            receivers = [m for m in self.electorate.others() if m in origins and m not in known]
+            self.outbox.send_all(receivers, Accepted(body.slot, ballot, []))
         self._decide_if_chosen(ballot)
 
     def _refuse(self, message: Envelope, slot: int) -> None:

@@ -231,8 +231,8 @@ class Electorate:
     def _lacks(self, missing: Sequence[str]) -> str:
         unheard = [m for m in missing if m not in self.heard_of_late()]
         empty = [m for m in missing if m not in unheard]
-        reported = ["not heard: %s" % ", ".join(unheard)] if unheard else []
-        return "; ".join([*reported, *(["without a log: %s" % ", ".join(empty)] if empty else [])])
+        parts = ["not heard: %s" % ", ".join(unheard)] if unheard else []
+        return "; ".join([*parts, *(["without a log: %s" % ", ".join(empty)] if empty else [])])
 
     def needs_all(self) -> Torn:
         """The robots whose logs lost their ends, if the team needs their votes to continue and all

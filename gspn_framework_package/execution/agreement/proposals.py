@@ -355,13 +355,13 @@ class ProposalQueue:
     def _waiting_of(self, robot: str) -> Iterable[Proposal]:
         """The waiting proposals of a robot; for ours, including those of another process of its
         name."""
-        reported = self.state.others_proposals.get(robot, ())
+        received = self.state.others_proposals.get(robot, ())
         if robot != self.config.name:
-            return reported
+            return received
         own = self.state.own_proposals
-        if not reported:
+        if not received:
             return own
-        more = [p for p in reported if p.item.origin not in own]
+        more = [p for p in received if p.item.origin not in own]
         return sorted([*own, *more], key=lambda p: p.item.origin)
 
     # -- reading our own log --------------------------------------------------------------------

@@ -56,11 +56,13 @@ class Replication(ReplicaPart):
         """Inform the others; in a small team, except those whose proposals were in the batch,
         because they saw each other's votes."""
         voted = self.config.is_small and not self.config.partial and not alone
-        shown = [m for m in self.electorate.others() if not (voted and m in origins)]
+        receivers = [m for m in self.electorate.others() if not (voted and m in origins)]
         if alone:  # no other robot has seen the batch
-            self.outbox.send_all(shown, Learn(at=slot, slots=self.state.recent.since(slot) or ()))
+            self.outbox.send_all(
+                receivers, Learn(at=slot, slots=self.state.recent.since(slot) or ())
+            )
         else:
-            self.outbox.send_all(shown, Learn(Chosen(slot, ballot)))
+            self.outbox.send_all(receivers, Learn(Chosen(slot, ballot)))
 
     def _commit(self, batch: Batch, ballot: Ballot, *, mine: bool, alone: bool = False) -> None:
         state = self.state
@@ -86,8 +88,8 @@ class Replication(ReplicaPart):
             plan = step.game_of(number, game).plan
             self.outbox.put(interface.Fired(firing, published, state.ledger.hash, plan))
         # the robot that decided a slot reports the tasks that ended with it
-        shown = (Fault, Ended, TaskEnded) if mine else (Fault, Ended)
-        self.outbox.put(*(c for c in step.commands if isinstance(c, shown)))
+        kinds = (Fault, Ended, TaskEnded) if mine else (Fault, Ended)
+        self.outbox.put(*(c for c in step.commands if isinstance(c, kinds)))
         self.membership.note_members(kept)
         delays = {
             (c.visit, c.attempt): c.delay

@@ -151,9 +151,9 @@ def _plans(folder: Folder, top: str, own: str) -> Iterator[Dict[str, Any]]:
             if os.path.realpath(file) in seen:
                 continue
             seen.add(os.path.realpath(file))
-            reported = _plan(file)
-            if reported is not None:
-                yield {"file": os.path.relpath(file, top).replace(os.sep, "/"), **reported}
+            found = _plan(file)
+            if found is not None:
+                yield {"file": os.path.relpath(file, top).replace(os.sep, "/"), **found}
 
 
 def _plan(file: str) -> Optional[Dict[str, Any]]:
