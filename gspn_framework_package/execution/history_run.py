@@ -289,7 +289,7 @@ class HistoryRun(VirtualRun):
     def _refuse(self, what: str) -> None:
         self._refused[what] = self._refused.get(what, 0) + 1
 
-    def _show(
+    def _report(
         self, entries: Sequence[log_entries.Entry], step: Step, before: Tuple[int, ...]
     ) -> None:
         if step.firings:
