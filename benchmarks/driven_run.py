@@ -32,7 +32,7 @@ class Visits(VirtualRun):
         super().__init__(plan, seed=seed)
         self._since: Dict[str, Tuple[int, float]] = {}  # robot -> visit, its beginning
 
-    def _tell(
+    def _report(
         self, entries: Sequence[log_entries.Entry], step: Step, before: Tuple[int, ...]
     ) -> None:
         for robot in self.state.active():
