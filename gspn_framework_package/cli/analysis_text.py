@@ -266,7 +266,7 @@ def _steady_text(steady: Mapping[str, Any], spans: Mapping[str, Any]) -> Iterato
         yield "    %-32s %14s%s" % (transition, _number(value), within)
     for measure, errors in steady.get("unsure", {}).items():
         for name, error in errors.items():
-            yield "    inexact: %s of %s, by about %.0e of the value" % (
+            yield "    unsure: %s of %s, by about %.0e of the value" % (
                 measure.replace("_", " "),
                 name,
                 error if isinstance(error, float) else math.inf,
