@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
         found = _on_history(args, plan, mapping)
         more["replay"] = found.to_json()
         if found.worse and not args.force:
-            return _reported(args, False, "%s; --force deploys it anyway" % found.verdict, **more)
+            return _report(args, False, "%s; --force deploys it anyway" % found.verdict, **more)
     if args.standalone is not None:
         return _into_run(args, plan, mapping, more)  # because its own verdict decides
     obey(check_all(plan), plan)
@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
 
     entry = stage_of(plan, mapping, _folder(args, plan))
     outcome = deploy_to_team(order, statuses, entry, stage_only=args.stage_only, wait=args.wait)
-    return _reported(
+    return _report(
         args, outcome.done, outcome.message, stage=outcome.stage, votes=dict(outcome.votes), **more
     )
 
@@ -125,10 +125,10 @@ def _into_run(
         os.path.abspath(plan.file or args.plan), mapping, folder, args.wait
     )
     answer = control_socket.ask_to_deploy(run, request)
-    return _reported(args, answer["done"], answer["message"], process=run.process, **more)
+    return _report(args, answer["done"], answer["message"], process=run.process, **more)
 
 
-def _reported(args: argparse.Namespace, done: bool, message: str, **more: Any) -> int:
+def _report(args: argparse.Namespace, done: bool, message: str, **more: Any) -> int:
     """Print the outcome; returns the exit code."""
     if args.json:
         print(json.dumps({"order": "deploy", "done": done, "message": message, **more}))

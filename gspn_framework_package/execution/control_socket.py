@@ -180,17 +180,17 @@ def chosen_run(runs: List[RunningPlan], file: str, process: str) -> RunningPlan:
         raise ExecutionError(
             "no run found%s%s"
             % (" of %s" % file if file else "", " in process %s" % process if process else ""),
-            hint="; ".join(_reported(run) for run in runs) or "start one with gspn run",
+            hint="; ".join(_in_words(run) for run in runs) or "start one with gspn run",
         )
     if len(fitting) > 1:
         raise ExecutionError(
-            "there are several runs: %s" % "; ".join(_reported(run) for run in fitting),
+            "there are several runs: %s" % "; ".join(_in_words(run) for run in fitting),
             hint="choose one with --run PROCESS",
         )
     return fitting[0]
 
 
-def _reported(run: RunningPlan) -> str:
+def _in_words(run: RunningPlan) -> str:
     return "process %d runs %s" % (run.process, run.files[-1] if run.files else run.plan)
 
 

@@ -284,8 +284,8 @@ class _Reader:
                 self._visits[entry.robot] = (*known[:2], now)
                 key = entry.robot, entry.transition
                 if key in self._exposed:
-                    reported = self._exposed.pop(key), dict(entry.cause)
-                    self._events.setdefault(key, []).append(reported)
+                    event = self._exposed.pop(key), dict(entry.cause)
+                    self._events.setdefault(key, []).append(event)
         elif isinstance(entry, log_entries.Fire) and self._is_simulated(entry.transition):
             t = self._plan.net.transition_index[entry.transition]
             self._fired.setdefault(entry.transition, []).append(self._unfired[t])

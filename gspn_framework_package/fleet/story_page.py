@@ -126,7 +126,7 @@ def _time_line(story: RunStory) -> Iterator[str]:
         for spell, first, last in _drawn(story.spells[robot], story.seconds):
             yield "<rect class=%s x=%d y=%d width=%d height=%d><title>%s</title></rect>" % (
                 *(spell.use, _NAMES + first, y + 3, last - first, _LANE - 6),
-                escape(_reported(spell)),
+                escape(_in_words(spell)),
             )
     for i in range(6):
         anchor = "start" if i < 5 else "end"
@@ -138,7 +138,7 @@ def _time_line(story: RunStory) -> Iterator[str]:
     yield "</svg><figcaption>%s</figcaption></figure>" % keys
 
 
-def _reported(spell: Spell) -> str:
+def _in_words(spell: Spell) -> str:
     times = time_text(spell.begin), time_text(spell.end), length_text(spell.end - spell.begin)
     return "%s, %s in %s: %s to %s (%s)" % (spell.robot, spell.use, spell.place, *times)
 

@@ -143,7 +143,7 @@ class ReplicaHost:
         self._actions: ActionSide
         self._report: SelfReport
         self._others: Sequence[Callable[[], None]] = ()
-        self._reported_end: Callable[[str], None] = lambda robot: None
+        self._on_end: Callable[[str], None] = lambda robot: None
         self._thread = threading.Thread(target=self._work, name="worker", daemon=True)
 
     def connect(
@@ -200,7 +200,7 @@ class ReplicaHost:
 
         :param ended: receives the name of the robot when the host has ended.
         """
-        self._reported_end = ended
+        self._on_end = ended
         self._thread.start()
         self._events.start()
 
@@ -271,7 +271,7 @@ class ReplicaHost:
             try:
                 self._close()
             finally:
-                self._reported_end(self.robot)
+                self._on_end(self.robot)
 
     def _turn(self) -> None:
         now = time.monotonic()
@@ -296,10 +296,10 @@ class ReplicaHost:
             self._status_reporter.note_change()  # the action side waits for something
         self._take_inputs()
         report = self._report
-        reported = self._status_reporter.poll(
+        report_due = self._status_reporter.poll(
             now, self._carrier, self._activity, report.team, report.diagnosis
         )
-        due = min(self._wake_at, reported)
+        due = min(self._wake_at, report_due)
         if action_due is not None:
             due = min(due, action_due)
         timeout = max(0.0, due - time.monotonic())

@@ -75,7 +75,7 @@ def open_session(access: TeamAccess) -> zenoh.Session:
             return zenoh.open(config)
     except zenoh.ZError as error:
         raise ExecutionError(
-            "cannot open a Zenoh session with %s (%s)" % (_reported(access), _reason(error)),
+            "cannot open a Zenoh session with %s (%s)" % (_endpoints(access), _reason(error)),
             hint="check that a router runs there ('gspn router') and that the keys belong to its "
             "team",
         ) from None
@@ -251,7 +251,7 @@ def _rule(name: str, flow: str, messages: List[str], keys: List[str]) -> Dict[st
     }
 
 
-def _reported(access: TeamAccess) -> str:
+def _endpoints(access: TeamAccess) -> str:
     return ", ".join((*access.connect, *("(here) " + at for at in access.listen)))
 
 

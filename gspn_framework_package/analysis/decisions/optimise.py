@@ -345,7 +345,7 @@ class _Exactly:
             before = present.get(tuple(marking), {})
             key = (*before.items(), ("", 0.0), *best.items())
             if key not in known:
-                known[key] = _reported(before, best, leaving)
+                known[key] = _choices(before, best, leaving)
             for place, old, new in known[key]:
                 if not marking[net.place_index[place]]:
                     continue
@@ -395,7 +395,7 @@ _Told = Tuple[str, Mapping[str, float], Mapping[str, float]]
 """A place, and the choices for it by the old and by the new policy."""
 
 
-def _reported(
+def _choices(
     before: Mapping[str, float], best: Mapping[str, float], leaving: Mapping[str, AbstractSet[str]]
 ) -> List[_Told]:
     """The places to which at least one of two sets of choices applies."""

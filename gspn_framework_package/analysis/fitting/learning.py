@@ -284,8 +284,8 @@ class _Learning:
         for place, of_place in learned.items():
             places[place] = of_place.found
             self.notes += of_place.notes
-            for kind, shown in of_place.doubts.items():
-                self._doubts.setdefault(kind, []).extend(shown)
+            for kind, doubts in of_place.doubts.items():
+                self._doubts.setdefault(kind, []).extend(doubts)
         unseen = [
             place
             for place in self.plan.action_places
