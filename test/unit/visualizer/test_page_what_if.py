@@ -23,6 +23,12 @@ from gspn_framework_package.visualizer.what_if import FirstLooks, action_means, 
 ALL = "all transitions"
 
 
+@pytest.fixture(autouse=True)
+def _first_looks_of_their_whole_length(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a busy machine a first look is short, and its numbers are rough."""
+    monkeypatch.setattr(what_if, "FIRST_LOOK", 60.0)
+
+
 @pytest.fixture(name="plan", scope="module")
 def _plan() -> Plan:
     return read_plan(plans_folder() + "/patrol")
