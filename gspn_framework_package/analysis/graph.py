@@ -1,4 +1,7 @@
-"""Graph algorithms on state spaces: components, reachability, shortest paths."""
+"""Graph algorithms on state spaces: components, reachability, shortest paths.
+
+SciPy is imported by the functions that use it: exploring a state space does not need it, and its
+import takes as long as exploring 60,000 states."""
 
 from __future__ import annotations
 
@@ -6,8 +9,6 @@ from bisect import bisect_left
 from typing import List, NamedTuple, Optional, Tuple, Union
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse import csgraph
 
 from gspn_framework_package.analysis.arrays import Booleans, Indices, Matrix
 
@@ -23,6 +24,8 @@ class Components(NamedTuple):
 
 def adjacency(nodes: int, sources: Indices, targets: Indices) -> Matrix:
     """The sparse matrix with an entry for every arc."""
+    from scipy import sparse
+
     ones = np.ones(len(targets), dtype=np.int8)
     return sparse.csr_matrix((ones, (sources, targets)), shape=(nodes, nodes))
 
@@ -35,6 +38,8 @@ def components(nodes: int, sources: Indices, targets: Indices) -> Components:
 def components_of(matrix: Matrix) -> Components:
     """The strongly connected components of the graph with an arc for every entry of a sparse
     matrix (CSR)."""
+    from scipy.sparse import csgraph
+
     count, of = csgraph.connected_components(matrix, connection="strong")
     bottom = np.ones(count, dtype=bool)
     if count > 1:
@@ -67,6 +72,9 @@ def search_from(matrix: Matrix, start: Indices) -> Tuple[Booleans, Indices]:
     :return: boolean array: the nodes that it reaches, including ``start``; int array: the node
         before each of them on a shortest path; the number of nodes for ``start``.
     """
+    from scipy import sparse
+    from scipy.sparse import csgraph
+
     nodes = matrix.shape[0]
     # an additional node with an arc to each of them, since compiled code starts a search from a
     # single node
@@ -117,6 +125,8 @@ class ShortestWays:
 
 def _depths(matrix: Matrix) -> Indices:
     """The number of arcs on a shortest path from node 0 to each node; -1 where there is none."""
+    from scipy.sparse import csgraph
+
     order, parents = csgraph.breadth_first_order(matrix, 0)
     place = np.empty(matrix.shape[0], dtype=np.int64)
     place[order] = np.arange(len(order))
@@ -149,6 +159,8 @@ def flat_ranges(begins: Indices, ends: Indices) -> Indices:
 def longest_levels(nodes: int, sources: Indices, targets: Indices) -> Tuple[Indices, bool]:
     """For an acyclic graph, the length of the longest path from each node, and True. If there is a
     cycle, the second value is False."""
+    from scipy import sparse
+
     waiting = np.bincount(sources, minlength=nodes)
     level = np.zeros(nodes, dtype=np.int64)
     backward = sparse.csr_matrix(

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, List, NamedTuple, Tuple
+from typing import Any, List, NamedTuple, Optional, Tuple
 
 import numpy as np
 
@@ -70,12 +70,18 @@ _CORES = 8
 
 
 def explore(
-    packed: PackedNet, limit: int, watch: Watch, cores: int = 0, room: Allowance = ENDLESS
+    packed: PackedNet,
+    limit: int,
+    watch: Watch,
+    cores: int = 0,
+    room: Allowance = ENDLESS,
+    begun: Optional[RawGraph] = None,
 ) -> RawGraph:
     """The reachability graph of ``packed``; the parameters are those of ``numpy_engine``.
 
     :param cores: number of cores, at most 8; 0: as many as there are.
     :param room: the exploration ends when it is used up.
+    :param begun: a part of the graph, which ``numpy_engine`` found: it numbers states alike.
     """
     transitions = len(packed.order)
     wanted = os.environ.get("NUMBA_NUM_THREADS", "")  # numba ignores other texts
@@ -83,30 +89,34 @@ def explore(
     cores = min(cores, _CORES)
     share = max(_BLOCK, min(_SHARE, _SHARE_ARCS // max(transitions, 1)))
     narrow = min(_NARROW, share)
-    states = Growing(np.uint64, packed.words)
-    states.extend(packed.initial[None, :])
-    offsets = Growing(np.int64)
+    known = packed.initial[None, :] if begun is None or begun.states is None else begun.states
+    graph = states, offsets, targets, labels = _Graph(
+        Growing(np.uint64, packed.words),
+        Growing(np.int64),
+        Growing(np.int32 if limit < 2**31 - 2**24 else np.int64),
+        Growing(label_type(transitions)),
+    )
+    states.reserve(len(known))
     offsets.extend(np.zeros(1, dtype=np.int64))
-    targets = Growing(np.int32 if limit < 2**31 - 2**24 else np.int64)
-    labels = Growing(label_type(transitions))
-    table = np.zeros(1 << 12, dtype=np.uint64)
+    table = _with_room(np.zeros(1 << 12, dtype=np.uint64), len(known))
     width = (0,) * packed.words
     no_arcs = np.zeros(0, np.int64)
     rules = _Rules(*(getattr(packed, name) for name in _Rules._fields))
     buffers = [_new_buffers(share, transitions, packed.words, targets, labels)]
     hashes = buffers[0].hashes
-    _enter(width, table, states.array, 0, packed.initial[None, :], no_arcs, targets.array, hashes)
+    states.used = _enter(width, table, states.array, 0, known, no_arcs, targets.array, hashes)
     explored = 0
+    if begun is not None:
+        explored = begun.explored
+        offsets.extend(begun.offsets[1 : explored + 1])
+        targets.extend(begun.targets)
+        labels.extend(begun.labels)
     with ThreadPoolExecutor(max(cores - 1, 1), thread_name_prefix="explore") as others:
         while explored < states.used <= limit:
-            if not room.left(
-                table.nbytes + sum(a.array.nbytes for a in (states, offsets, targets, labels))
-            ):
+            if not room.left(table.nbytes + sum(part.array.nbytes for part in graph)):
                 break
             if states.used - explored < narrow:
-                explored = _go_narrow(
-                    rules, explored, limit, table, states, offsets, targets, labels, buffers[0]
-                )
+                explored = _go_narrow(rules, explored, limit, table, graph, buffers[0])
                 table = _with_room(table, states.used + narrow * transitions)
                 watch.step("states", states.used)
                 continue
@@ -121,25 +131,7 @@ def explore(
             running = [others.submit(_expand, *arguments) for arguments in work[1:]]
             done = [_expand(*work[0])] + [future.result() for future in running]
             _check_overflow(buffers)
-            new = sum(misses for _, misses, _ in done)
-            states.reserve(states.used + new)
-            table = _with_room(table, states.used + new)
-            offsets.reserve(offsets.used + end - explored)
-            for (arcs, misses, _), buffer, (begin, stop) in zip(done, buffers, bounds):
-                base = targets.used
-                targets.extend(buffer.targets[:arcs])
-                labels.extend(buffer.labels[:arcs])
-                offsets.extend(buffer.ends[: stop - begin] + base)
-                states.used = _enter(
-                    width,
-                    table,
-                    states.array,
-                    states.used,
-                    buffer.keys[:misses],
-                    buffer.arcs[:misses],
-                    targets.array[base:],
-                    hashes,
-                )
+            table = _append(graph, table, list(zip(done, bounds, buffers)))
             explored = end
             watch.step("states", states.used)
     rest = np.full(states.used - explored, targets.used, dtype=np.int64)
@@ -147,6 +139,15 @@ def explore(
     return RawGraph(
         states.finished(), offsets.finished(), targets.finished(), labels.finished(), explored
     )
+
+
+class _Graph(NamedTuple):
+    """The parts of a :class:`RawGraph` while they grow."""
+
+    states: Growing
+    offsets: Growing
+    targets: Growing
+    labels: Growing
 
 
 class _Rules(NamedTuple):
@@ -204,6 +205,36 @@ def _shares(begin: int, end: int, cores: int) -> List[Tuple[int, int]]:
     return list(zip(cuts, cuts[1:]))
 
 
+def _append(
+    graph: _Graph,
+    table: Words,
+    shares: List[Tuple[Tuple[int, int, np.uint64], Tuple[int, int], _Buffers]],
+) -> Words:
+    """Append what each share found (what ``_expand`` returned, the range of its states, and its
+    buffers); returns the table."""
+    states, offsets, targets, labels = graph
+    new = sum(misses for (_, misses, _), _, _ in shares)
+    states.reserve(states.used + new)
+    table = _with_room(table, states.used + new)
+    offsets.reserve(offsets.used + sum(stop - begin for _, (begin, stop), _ in shares))
+    for (arcs, misses, _), (begin, stop), buffer in shares:
+        base = targets.used
+        targets.extend(buffer.targets[:arcs])
+        labels.extend(buffer.labels[:arcs])
+        offsets.extend(buffer.ends[: stop - begin] + base)
+        states.used = _enter(
+            (0,) * states.array.shape[1],
+            table,
+            states.array,
+            states.used,
+            buffer.keys[:misses],
+            buffer.arcs[:misses],
+            targets.array[base:],
+            shares[0][2].hashes,
+        )
+    return table
+
+
 def _check_overflow(buffers: List[_Buffers]) -> None:
     overflow = np.bitwise_or.reduce([buffer.overflow for buffer in buffers])
     if overflow.any():
@@ -215,14 +246,12 @@ def _go_narrow(
     explored: int,
     limit: int,
     table: Words,
-    states: Growing,
-    offsets: Growing,
-    targets: Growing,
-    labels: Growing,
+    graph: _Graph,
     buffer: _Buffers,
 ) -> int:
     """Run rounds of few states until they grow or the room is used up; returns the first unexplored
     state."""
+    states, offsets, targets, labels = graph
     room = _NARROW * max(len(rules.need), 1)
     states.reserve(states.used + 2 * room)
     targets.reserve(targets.used + 2 * room)

@@ -62,7 +62,7 @@ time, as differences."""
 
 _SMALL = 60_000
 """Up to this many states, numpy takes no longer than loading numba's machine code and exploring
-with it. What is larger is begun again."""
+with it, which then goes on where numpy stopped."""
 
 _FEW_ROUNDS = 300
 """Largest number of rounds of that attempt with numpy (0.06 s): numpy is slow if the graph
@@ -392,13 +392,14 @@ def _run(
 ) -> Tuple[RawGraph, str]:
     if engine == "numpy" or (engine == "auto" and not numba_is_there()):
         return numpy_engine.explore(packed, limit, watch, room=room), "numpy"
+    begun = None
     if engine == "auto" and packed.words not in _loaded:
-        graph = numpy_engine.explore(
+        begun = numpy_engine.explore(
             packed, min(limit, _SMALL), watch, rounds=_FEW_ROUNDS, room=room
         )
-        known = len(graph.offsets) - 1
-        if graph.explored == known or known > limit or not room.left(0):
-            return graph, "numpy"
+        known = len(begun.offsets) - 1
+        if begun.explored == known or known > limit or not room.left(0):
+            return begun, "numpy"
     try:
         from gspn_framework_package.analysis.state_space import numba_engine
     except ImportError as error:
@@ -406,4 +407,4 @@ def _run(
             "the engine numba is not available: %s" % error, hint="install numba, or choose numpy"
         ) from None
     _loaded.add(packed.words)
-    return numba_engine.explore(packed, limit, watch, room=room), "numba"
+    return numba_engine.explore(packed, limit, watch, room=room, begun=begun), "numba"

@@ -16,7 +16,7 @@ from waiting import PATIENCE
 from benchmarks.large_nets import ring, star
 from benchmarks.nets import kanban, philosophers
 from gspn_framework_package.analysis.compiling import compiled, numba_is_there
-from gspn_framework_package.analysis.state_space import sparse_engine
+from gspn_framework_package.analysis.state_space import numpy_engine, sparse_engine
 from gspn_framework_package.analysis.state_space.packing import PackedNet, starting_widths
 from gspn_framework_package.analysis.state_space.space import explore
 from gspn_framework_package.analysis.watch import Watch
@@ -154,8 +154,8 @@ def test_a_count_that_is_too_large_is_reported(arcs):
 
 @pytest.mark.skipif(not numba_is_there(), reason="numba is missing")
 @relaxed
-@given(net=bounded_nets(), cores=st.integers(2, 4))
-def test_cores_number_the_states_alike(net, cores):
+@given(net=bounded_nets(), cores=st.integers(2, 4), rounds=st.integers(0, 3))
+def test_cores_and_engines_number_the_states_alike(net, cores, rounds):
     from gspn_framework_package.analysis.state_space import numba_engine
 
     packed = PackedNet(net, starting_widths(net, [8] * len(net.places)))
@@ -178,8 +178,10 @@ def test_cores_number_the_states_alike(net, cores):
             lambda *args: numba_engine._Buffers(*map(between_fences, new_buffers(*args))),
         )
         many = numba_engine.explore(packed, 10**6, Watch(), cores=cores)
-    for mine, theirs in zip(one, many):
-        assert np.array_equal(mine, theirs)
+        begun = numpy_engine.explore(packed, 10**6, Watch(), rounds=rounds)
+        continued = numba_engine.explore(packed, 10**6, Watch(), cores=cores, begun=begun)
+    for mine, theirs, and_theirs in zip(one, many, continued):
+        assert np.array_equal(mine, theirs) and np.array_equal(mine, and_theirs)
     for around in fenced:
         outside = np.concatenate([around[:100], around[-100:]])
         assert np.all(outside == 7), "written outside of a buffer"
