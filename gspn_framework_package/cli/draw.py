@@ -13,7 +13,7 @@ from gspn_framework_package.analysis.plan.space import replaced_durations
 from gspn_framework_package.analysis.state_space.coverability import CoverabilityTree
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli import numbers
-from gspn_framework_package.cli.limits import working
+from gspn_framework_package.cli.limits import PHASES_OPTION, check_phases, working
 from gspn_framework_package.cli.net_input import (
     add_net_arguments,
     print_notes,
@@ -44,6 +44,7 @@ _OPTIONS: Arguments = {
     Argument("--timeout", "S", numbers.duration, 60.0): (
         "time limit for Graphviz, in seconds (default: %(default)g)"
     ),
+    **PHASES_OPTION,
 }
 
 
@@ -62,10 +63,13 @@ def run(args: argparse.Namespace) -> int:
             hint="use the ending .%s or .dot" % ", .".join(IMAGE_FORMATS),
         )
     subject, notes = read_net_or_plan_argument(args)
+    check_phases(args, subject, args.what == "chain")
     is_text = image in ("dot", "gv")
 
     def make(progress: Progress, cancel: Cancel) -> Graph:
-        return graph_of(subject, args.what, args.limit, notes, is_text, progress, cancel)
+        return graph_of(
+            subject, args.what, args.limit, notes, is_text, progress, cancel, args.phases
+        )
 
     graph = working(make, DEFAULT_MEMORY, "")
     text = graph.text()
@@ -85,6 +89,7 @@ def graph_of(
     everything: bool = False,
     progress: Optional[Progress] = None,
     cancel: Optional[Cancel] = None,
+    phases: Optional[int] = None,
 ) -> Graph:
     """The graph to draw.
 
@@ -92,6 +97,7 @@ def graph_of(
     :param limit: the most markings to draw.
     :param notes: receives remarks on what was left out.
     :param everything: leave nothing out.
+    :param phases: the most phases of each duration of a plan.
     :raises GspnError: it was not computed.
     """
     net = subject.net if isinstance(subject, Plan) else subject
@@ -104,7 +110,7 @@ def graph_of(
             net, limit=limit, progress=progress, cancel=cancel, memory=DEFAULT_MEMORY
         )
         return tree_graph(tree)
-    analysis = Analysis(subject, limit=limit, progress=progress, cancel=cancel)
+    analysis = Analysis(subject, limit=limit, phases=phases, progress=progress, cancel=cancel)
     chain = analysis.chain
     note = "" if everything else note_of_rates_left_out(chain)
     if notes is not None:

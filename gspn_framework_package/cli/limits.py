@@ -60,7 +60,8 @@ LIMIT_OPTIONS: Arguments = {
 PHASES_OPTION: Arguments = {
     Argument("--phases", "N", int): (
         "at most N exponential phases for each duration of a plan (default: as many as make about "
-        "100,000 states; all that are needed where they make no states); docs/analysis.md"
+        "100,000 states, or --limit if that is less; all that are needed where they make no "
+        "states); docs/analysis.md"
     ),
 }
 

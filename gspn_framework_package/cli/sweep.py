@@ -12,7 +12,14 @@ from gspn_framework_package.analysis.executors import Executor
 from gspn_framework_package.analysis.sweeps.sweep import Sweep, SweepPoint, chosen
 from gspn_framework_package.analysis.sweeps.variation import VARIATION_FORMS, read_variation
 from gspn_framework_package.analysis.watch import Cancel, Progress, Watch
-from gspn_framework_package.cli.limits import LIMIT_OPTIONS, ON_OPTION, limits_of, working_on
+from gspn_framework_package.cli.limits import (
+    LIMIT_OPTIONS,
+    ON_OPTION,
+    PHASES_OPTION,
+    check_phases,
+    limits_of,
+    working_on,
+)
 from gspn_framework_package.cli.net_input import add_subject_arguments, print_notes, read_subject
 from gspn_framework_package.cli.options import Argument, Arguments, add_options, repeated
 from gspn_framework_package.cli.plot import begin_picture, save_picture
@@ -54,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_subject_arguments(parser)
     add_options(parser, _OPTIONS)
     add_options(parser.add_argument_group("how each point is measured"), _MEASURING)
-    add_options(parser.add_argument_group("limits of --exact"), LIMIT_OPTIONS)
+    add_options(parser.add_argument_group("effort of --exact"), {**LIMIT_OPTIONS, **PHASES_OPTION})
 
 
 def run(args: argparse.Namespace) -> int:
@@ -63,6 +70,7 @@ def run(args: argparse.Namespace) -> int:
         begin_picture(args.plot)
     variations = [read_variation(text) for text in args.vary]
     subject, notes = read_subject(args)
+    check_phases(args, subject, args.exact)
     conditional = args.until is not None or getattr(subject, "until", None) is not None
     wanted = chosen(subject, args.measure, conditional and not args.exact)
     files = [
@@ -76,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
         asked,
         exact=args.exact,
         limits=limits,
+        phases=args.phases,
         policies={file: read_policy_of(file) for file in files},
     )
     store = PointStore(args.output + SUFFIX) if args.output else None

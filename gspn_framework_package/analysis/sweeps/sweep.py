@@ -75,6 +75,7 @@ class Sweep:
     :param asked: the simulation of each point.
     :param exact: compute the steady state instead of simulating.
     :param limits: limits of the exact analysis.
+    :param phases: the most phases of each duration there, as of ``Analysis``.
     :param policies: the policies of the variation ``policy``, by the names of their files.
     :ivar keys: the key of each point, in the order of the grid.
     :raises GspnError: a variation does not fit the subject, or the settings are invalid.
@@ -88,12 +89,13 @@ class Sweep:
         *,
         exact: bool = False,
         limits: Limits = Limits(),  # noqa: B008 (immutable)
+        phases: Optional[int] = None,
         policies: Optional[Mapping[str, Policy]] = None,
     ) -> None:
         self.variations = tuple(variations)
         self.points = grid(variations)
         self.asked, self.exact = asked, exact
-        self._limits = limits
+        self._limits, self._phases = limits, phases
         self._subjects = [
             varied(subject, variations, values, policies or {}, asked.timing)
             for values in self.points
@@ -102,7 +104,9 @@ class Sweep:
 
     def _key(self, subject: Union[Net, Plan]) -> str:
         content = plan_to_json(subject) if isinstance(subject, Plan) else net_to_json(subject)
-        how: Any = {"exact": self.asked.timing} if self.exact else self.asked._asdict()
+        how: Any = self.asked._asdict()
+        if self.exact:  # the number of states limits that of phases
+            how = {"exact": self.asked.timing, "phases": [self._phases, self._limits.states]}
         text = json.dumps([__version__, how, content], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -174,7 +178,7 @@ class Sweep:
     def _analysed(
         self, numbers: Sequence[int], executor: Executor, watch: Watch
     ) -> Iterator[SweepPoint]:
-        shared = (self._limits, self.asked.timing)
+        shared = (self._limits, self.asked.timing, self._phases)
         workload = Workload(tuple, _analyse, shared)
         items = [WorkItem(workload, self._subjects[n], 1, self.title(n)) for n in numbers]
         for i, measures in executor.map(items, "points", watch):
@@ -182,12 +186,13 @@ class Sweep:
 
 
 def _analyse(shared: Any, subject: Any, watch: Watch) -> PointMeasures:
-    limits, timing = shared
+    limits, timing, phases = shared
     analysis = Analysis(
         subject,
         limits=limits,
         timing=timing if isinstance(subject, Plan) else None,
         structure=False,
+        phases=phases,
         cancel=watch.cancelled,
     )
     return {

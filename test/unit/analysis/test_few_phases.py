@@ -148,6 +148,7 @@ def test_what_shows_numbers_says_that_durations_are_replaced(tmp_path, capsys):
         ["convert", path, str(tmp_path / "a.drn")],
         ["convert", path, str(tmp_path / "a.jani"), "--run-net"],
         ["explain", path, "--run-net"],
+        ["draw", path, "-o", str(tmp_path / "a.dot"), "--what", "chain"],
     ):
         assert main([*words, "--phases", "3"]) == 0
         assert said in capsys.readouterr().err, words
@@ -173,6 +174,23 @@ def test_tables_have_the_intervals(tmp_path, capsys):
     (row,) = csv.DictReader(file.open())
     mean, half = float(row["mean"]), float(row["half_width"])
     assert 0 < half < 0.1 and mean - half <= truth <= mean + half
+
+
+def test_a_sweep_has_as_many_phases_as_asked_for(tmp_path, capsys):
+    plan, path, table = interrupted(Duration.deterministic(2.0)), tmp_path / "plan.json", "a.csv"
+    asked = ["--vary", "rate:alarm=0.8", "--exact", "--measure", "done", "--json"]
+    asked += ["--output", str(tmp_path / table)]
+    for words in (["--phases", "3"], ["--phases", "9"], []):
+        _, printed = analysed(tmp_path, capsys, plan, "--json", *words)
+        mean = json.loads(printed.out)["steady_state"]["throughput"]["done"]
+        assert main(["sweep", str(path), *asked, *words]) == 0
+        found = json.loads(capsys.readouterr().out)
+        (point,) = found["points"]
+        assert point["measures"]["throughput"]["done"]["mean"] == pytest.approx(mean, rel=1e-9)
+        assert found["kept"] == 0  # a point with other phases is another one
+    for words in (["--exact", "--phases", "0"], ["--phases", "3"]):
+        assert main(["sweep", str(path), "--vary", "rate:alarm=0.8", *words]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_short_logs_make_intervals_wider(tmp_path, capsys):
