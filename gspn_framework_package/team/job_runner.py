@@ -78,7 +78,8 @@ class JobRunner:
         """Start a job, cancelling the previous one if it still runs."""
         self.cancel()
         look = partial(self._enqueue, self._look)
-        attempt = JobAttempt(command, self._patience, look, self._clock)
+        has_timeout = self._timeout(command.place) is not None
+        attempt = JobAttempt(command, self._patience, look, self._clock, has_timeout)
         job = self._jobs[command.place]
         self._current = _Running(job, attempt, self._clock.seconds() + command.delay)
         self.poll(now)

@@ -43,6 +43,7 @@ class JobAttempt:
     :param patience: how long each step may take.
     :param changed: called when the attempt reports something new.
     :param clock: the clock that times the action.
+    :param has_timeout: report, too, when the action itself begins.
     """
 
     def __init__(
@@ -51,13 +52,14 @@ class JobAttempt:
         patience: Patience,
         changed: Callable[[], None],
         clock: Clock = MACHINE_CLOCK,
+        has_timeout: bool = False,
     ) -> None:
         self.command, self.patience = command, patience
         self.is_cancelled = Cancellation()
         self.waits_for = ""
         self.begun_at: Optional[float] = None
         """When the action itself began, in seconds of its clock; its timeout counts from here."""
-        self._changed, self._clock = changed, clock
+        self._changed, self._clock, self._has_timeout = changed, clock, has_timeout
 
     def wait_for(self, what: str) -> None:
         """Report what the attempt waits for; "" if only for its own end."""
@@ -67,7 +69,8 @@ class JobAttempt:
     def begin(self) -> None:
         """Note that the action itself begins."""
         self.begun_at = self._clock.seconds()
-        self._changed()
+        if self._has_timeout:
+            self._changed()
 
 
 class Job:
