@@ -8,16 +8,21 @@ engine after engine (not those that take more than 10 s), and the fastest counts
 clock on the wall says: the numba engine uses all cores, Storm and numpy one, so close what else
 runs. Compiled code is loaded before the clock starts. Storm builds with its sparse engine and
 maximal progress. Where stormpy is not installed its columns stay empty.
+
+``--whole`` compares state spaces as whole processes, from the start of Python on, after a first one
+has compiled what is kept; the median of the turns counts.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import time
 from pathlib import Path
+from statistics import median
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from benchmarks import nets
@@ -49,6 +54,20 @@ CHAINS = (("kanban", 3), ("kanban", 4), ("fms", 2), ("fms", 3), ("polling", 12),
 QUICK_CHAINS = (("kanban", 3), ("fms", 2))
 ENGINES = ("storm", "numba", "numpy")
 
+_NET = "from benchmarks.nets import FAMILIES; net = FAMILIES[%r](%d)\n"
+WHOLE = {
+    "ours": _NET
+    + "from gspn_framework_package.analysis.state_space import explore\n"
+    + "print(len(explore(net, limit=10**9)))",
+    "Storm": _NET
+    + "from benchmarks.storm import storm_jani\n"
+    + "import stormpy\n"
+    + "options = stormpy.BuilderOptions()\n"
+    + "options.set_apply_maximal_progress_assumption(True)\n"
+    + "print(stormpy.build_model(storm_jani(net), options=options).nr_states)",
+}
+"""The programs that ``--whole`` compares."""
+
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
     """Run the benchmark, or (with ``--worker``) one measurement of it."""
@@ -64,6 +83,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     )
     parser.add_argument("--markdown", metavar="FILE", help="write the tables there too")
     parser.add_argument("--json", metavar="FILE", help="write all measurements there")
+    parser.add_argument("--whole", action="store_true", help="state spaces as whole processes")
     parser.add_argument("--worker", nargs=4, help=argparse.SUPPRESS)
     args = parser.parse_args(arguments)
     if args.worker:
@@ -71,6 +91,14 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
         print(json.dumps(WORK[work](engine, FAMILIES[family](int(size)))))
         return 0
     spaces, chains = (QUICK_SPACES, QUICK_CHAINS) if args.quick else (SPACES, CHAINS)
+    if args.whole:
+        rows = [_whole(family, size, args.repeat) for family, size in spaces]
+        print(
+            "%s\n\n%s" % (machine_line(describe_machine((*LIBRARIES, "stormpy"))), _in_rows(rows))
+        )
+        if args.json:
+            Path(args.json).write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
+        return 0
     measured_spaces = _measure_all("space", spaces, args.repeat) if args.part != "chains" else []
     measured_chains = _measure_all("chain", chains, args.repeat) if args.part != "spaces" else []
     text = _report(measured_spaces, measured_chains)
@@ -132,6 +160,54 @@ def _measure(work: str, engine: str, family: str, size: int) -> Optional[Measure
         return None
     result: Measurement = json.loads(done.stdout.splitlines()[-1])
     return result
+
+
+def _whole(family: str, size: int, repeat: int) -> Measurement:
+    """Medians over ``repeat`` turns: seconds by the clock and of a processor, and peak memory (MB),
+    of whole processes. What takes more than 10 s has one turn."""
+    row: Measurement = {"net": "%s %d" % (family, size)}
+    turns: Dict[str, List[Tuple[float, float, float]]] = {name: [] for name in WHOLE}
+    for turn in range(repeat + 1):
+        for name, program in WHOLE.items():
+            if turns[name] and turns[name][0][0] > 10 or (turn == 0 and name == "Storm"):
+                continue  # turn 0 compiles
+            start = time.perf_counter()
+            with subprocess.Popen(
+                [sys.executable, "-c", program % (family, size)],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+            ) as process:
+                assert process.stdout is not None
+                printed = process.stdout.read().split()
+                _, status, used = os.wait4(process.pid, 0)
+                process.returncode = os.waitstatus_to_exitcode(status)
+            seconds = time.perf_counter() - start
+            if process.returncode:
+                continue
+            states = int(printed[-1])
+            assert row.setdefault("states", states) == states, "the engines disagree"
+            if turn:
+                turns[name].append((seconds, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024))
+    for name, found in turns.items():
+        if found:
+            keys = "seconds", "processor", "peak_mb"
+            row[name] = {key: median(values) for key, values in zip(keys, zip(*found))}
+    print(json.dumps(row), file=sys.stderr)
+    return row
+
+
+def _in_rows(rows: Sequence[Measurement]) -> str:
+    head = ["net", "states"]
+    head += [name + what for what in (" s", " processor s", " MB") for name in WHOLE]
+    cells = []
+    for row in rows:
+        parts = [row.get(name, {}) for name in WHOLE]
+        cell = [row["net"], row.get("states")]
+        cell += [part.get(key) for key in ("seconds", "processor", "peak_mb") for part in parts]
+        ours, storm = (part.get("seconds") for part in parts)
+        cells.append([*cell, storm / ours if ours and storm else None])
+    return table([*head, "Storm / ours"], cells)
 
 
 def _space(engine: str, net: Net) -> Measurement:
