@@ -25,6 +25,7 @@ from gspn_framework_package.analysis.plan.space import PlanSpace
 from gspn_framework_package.analysis.quantiles import student
 from gspn_framework_package.analysis.report_measures import Part
 from gspn_framework_package.analysis.report_rows import NODE_TABLES, titled
+from gspn_framework_package.model.errors import LimitError, RefusedError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.run_net.compiling import one_phase_each
 
@@ -40,6 +41,11 @@ _FEWEST_DRAWS, _MOST_DRAWS, _DRAWN_STATES = 8, 40, 120_000
 """Least and most draws of learned values, and about how many states all draws may visit
 together."""
 
+_MANY_STATES = (
+    "how short the logs are is left out: with one phase for each duration there are more than "
+    "%s states" % format(_DRAWN_STATES // _FEWEST_DRAWS, ",")
+)
+
 AnswerTables = Dict[str, Dict[str, float]]
 """What answers are of -> name -> number. The name of an answer that is a number by itself is
 empty."""
@@ -49,86 +55,113 @@ class HalfWidths(NamedTuple):
     """Half the widths of the intervals of answers; infinite: not known.
 
     :ivar sources: what the intervals hold, in words for people; empty if there are none.
+    :ivar left_out: what they should hold, but do not: a sentence; empty if there is nothing.
     """
 
     widths: AnswerTables
     sources: List[str]
+    left_out: str = ""
+
+    @property
+    def notes(self) -> List[str]:
+        """What they hold, and what not: sentences for people."""
+        held = "the half widths hold that %s" % " and ".join(self.sources)
+        return [*([held] if self.sources else []), *filter(None, [self.left_out])]
 
 
 def half_widths(
-    analysis: Analysis,
-    here: AnswerTables,
-    answers: Callable[[Analysis], AnswerTables],
-    logs: bool = True,
+    analysis: Analysis, here: AnswerTables, answers: Callable[[Analysis], AnswerTables]
 ) -> HalfWidths:
     """The half widths that are due to the phases of durations, if they are not represented exactly,
     and to the logs that a plan was learned from.
 
     :param here: the answers of this analysis.
     :param answers: the same of another one.
-    :param logs: whether to draw what was learned.
     """
-    found = HalfWidths({key: dict.fromkeys(table, 0.0) for key, table in here.items()}, [])
-    plan = analysis.plan
-    if plan is None or not here:
-        return found
-    space = analysis.space
-    if not isinstance(space, PlanSpace) or not space.complete or space.refusal:
+    found = expected(analysis) if here else HalfWidths({}, [])
+    found.widths.update((key, dict.fromkeys(table, 0.0)) for key, table in here.items())
+    plan, space = analysis.plan, analysis.space
+    if plan is None or not isinstance(space, PlanSpace):
         return found
 
     def with_phases(of: Plan, phases: Mapping[str, float]) -> AnswerTables:
-        return answers(
-            Analysis(
-                of,
-                limits=analysis.limits._replace(states=None),
-                timing=space.notes.reading,
-                phases=phases,
-                progress=analysis.while_working["progress"],
-                cancel=analysis.while_working["cancel"],
-            )
+        other = Analysis(
+            of,
+            limits=analysis.limits._replace(states=None),
+            timing=space.notes.reading,
+            phases=phases,
+            progress=analysis.while_working["progress"],
+            cancel=analysis.while_working["cancel"],
         )
+        try:
+            return answers(other)
+        except (LimitError, RefusedError):
+            return {}
 
-    if space.fewer_phases:
-        found.sources.append(_REPLACED)
+    if _REPLACED in found.sources:
         there = with_phases(plan, space.fewer_phases)
         for key, table in here.items():
             for name, change in _changes(key, table, there.get(key, {})).items():
                 found.widths[key][name] = _HALF_WIDTH * change
-    if logs and plan.evidence:
-        _add_logs(found, plan, space, here, lambda of: with_phases(of, one_phase_each(plan)))
+    if _LEARNED in found.sources:
+        draws = _affordable_draws(space)
+        _add_logs(found, plan, draws, here, lambda of: with_phases(of, one_phase_each(plan)))
     return found
+
+
+def expected(analysis: Analysis) -> HalfWidths:
+    """What the intervals of an analysis will hold, and no widths yet."""
+    plan, space = analysis.plan, analysis.space
+    found = HalfWidths({}, [])
+    if plan is None or not isinstance(space, PlanSpace) or not space.complete or space.refusal:
+        return found
+    if space.fewer_phases:
+        found.sources.append(_REPLACED)
+    if plan.evidence:
+        # few plans were learned from logs, and the simulation takes long to import
+        from gspn_framework_package.analysis.monitoring.prediction import is_uncertain
+
+        if is_uncertain(plan):
+            if _affordable_draws(space) < _FEWEST_DRAWS:
+                return found._replace(left_out=_MANY_STATES)
+            found.sources.append(_LEARNED)
+    return found
+
+
+def _affordable_draws(space: PlanSpace) -> int:
+    return min(_MOST_DRAWS, _DRAWN_STATES // len(space.distinct(np.arange(len(space)))))
 
 
 def _add_logs(
     found: HalfWidths,
     plan: Plan,
-    space: PlanSpace,
+    draws: int,
     here: AnswerTables,
     answers: Callable[[Plan], AnswerTables],
 ) -> None:
-    # few plans were learned from logs, and the simulation takes long to import
-    from gspn_framework_package.analysis.monitoring.prediction import draw_parameters, is_uncertain
+    from gspn_framework_package.analysis.monitoring.prediction import draw_parameters
 
-    draws = 0
-    if is_uncertain(plan):
-        draws = min(_MOST_DRAWS, _DRAWN_STATES // len(space.distinct(np.arange(len(space)))))
-    if draws < _FEWEST_DRAWS:
-        return
-    found.sources.append(_LEARNED)
     generator = np.random.Generator(np.random.PCG64(0))
     drawn = [answers(draw_parameters(plan, generator).apply(plan)) for _ in range(draws)]
     times = student(0.975, draws - 1) * math.sqrt(1 + 1 / draws)
     for key, table in here.items():
         for name, v in table.items():
             values = [other[key][name] for other in drawn if name in other.get(key, {})]
-            if len(values) == draws and any(values):
+            if len(values) < draws:
+                found.widths[key][name] = math.inf
+            elif any(values):
                 relative = float(np.std(values, ddof=1) / abs(np.mean(values)))
                 found.widths[key][name] += times * relative * abs(v)
 
 
-def steady_intervals(analysis: Analysis) -> Dict[str, Dict[str, Tuple[float, float]]]:
-    """Mean tokens and throughputs in the steady state, each with the half width of its interval
-    that is due to durations which are not represented exactly."""
+SteadyIntervals = Dict[str, Dict[str, Tuple[float, Optional[float]]]]
+"""Mean tokens and throughputs: name -> number, and the half width of its interval; None: not
+known."""
+
+
+def steady_intervals(analysis: Analysis) -> Tuple[SteadyIntervals, List[str]]:
+    """Mean tokens and throughputs in the steady state with their intervals, and what those hold:
+    sentences for people."""
 
     def answers(of: Analysis) -> AnswerTables:
         return {
@@ -137,11 +170,17 @@ def steady_intervals(analysis: Analysis) -> Dict[str, Dict[str, Tuple[float, flo
         }
 
     here = answers(analysis)
-    widths = half_widths(analysis, here, answers, logs=False).widths
-    return {
-        key: {name: (v, widths[key][name]) for name, v in table.items()}
+    found = half_widths(analysis, here, answers)
+
+    def half(key: str, name: str) -> Optional[float]:
+        width = found.widths[key][name]
+        return width if math.isfinite(width) else None
+
+    values = {
+        key: {name: (v, half(key, name)) for name, v in table.items()}
         for key, table in here.items()
     }
+    return values, found.notes
 
 
 def add_intervals(

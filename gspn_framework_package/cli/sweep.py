@@ -104,10 +104,7 @@ def run(args: argparse.Namespace) -> int:
     finally:
         if store is not None:
             store.close()
-    if args.exact and any(half != 0 for *_, half in _measured(points, wanted)):
-        notes.append(
-            "where there is a half width, durations are replaced by phases of the same mean"
-        )
+    notes += dict.fromkeys(note for point in points for note in point.notes)
     try:
         if args.output:
             _write(args.output, sweep, points, wanted)
@@ -175,6 +172,8 @@ def _table(sweep: Sweep, points: Sequence[SweepPoint], wanted: Sequence[Tuple[st
 
 
 def _estimate(mean: float, half: Optional[float]) -> str:
+    if half is None:
+        return "%.5g ± ?" % mean
     return "%.5g" % mean + (" ± %.2g" % half if half else "")
 
 

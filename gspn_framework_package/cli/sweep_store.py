@@ -55,7 +55,8 @@ class PointStore:
             key, runs = data["key"], data["replications"]
             if not isinstance(key, str) or type(runs) is not int:
                 raise ValueError
-            self.known[key] = SweepPoint(0, (), key, _measures(data["measures"]), runs)
+            notes = tuple(map(str, data.get("notes", ())))
+            self.known[key] = SweepPoint(0, (), key, _measures(data["measures"]), runs, notes)
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             raise DataError(
                 "this is not a point of a sweep",
@@ -72,8 +73,8 @@ class PointStore:
         try:
             if self._file is None:
                 self._file = self._opened()
-            counted = {"replications": point.replications, "measures": point.measures}
-            self._file.write(json.dumps({"key": point.key, **counted}) + "\n")
+            kept = ("key", "replications", "measures", "notes")
+            self._file.write(json.dumps({name: getattr(point, name) for name in kept}) + "\n")
             self._file.flush()
         except OSError as error:
             raise InputError(

@@ -92,6 +92,12 @@ class Evidence(NamedTuple):
     logs: Tuple[str, ...] = ()
     interval: Optional[Tuple[float, float]] = None
 
+    def scaled(self, factor: float) -> Evidence:
+        """That of the value times ``factor`` (> 0)."""
+        if self.interval is None:
+            return self
+        return self._replace(interval=(self.interval[0] * factor, self.interval[1] * factor))
+
 
 @dataclass(frozen=True)
 class Duration:

@@ -117,9 +117,13 @@ class OwnTimes(NamedTuple):
 
     def scaled(self, factors: Mapping[str, float]) -> OwnTimes:
         """Those with longer or shorter durations: place -> factor (> 0)."""
-        known = self.durations.items()
+        known, learned = self.durations.items(), self.evidence.items()
         return self._replace(
-            durations={p: d.scaled(factors[p]) if p in factors else d for p, d in known}
+            durations={p: d.scaled(factors[p]) if p in factors else d for p, d in known},
+            evidence={
+                (key, p): of.scaled(factors.get(p, 1.0) if key == "durations" else 1.0)
+                for (key, p), of in learned
+            },
         )
 
     def nominal(self) -> OwnTimes:

@@ -14,12 +14,13 @@ import os
 import resource
 import sys
 from dataclasses import replace
-from typing import Any, Dict, List, Optional, Union
+from itertools import islice
+from typing import Any, Dict, Iterator, List, Optional, Union
 
 import numpy as np
 
 from gspn_framework_package.analysis.analyse import Analysis
-from gspn_framework_package.analysis.intervals import steady_intervals
+from gspn_framework_package.analysis.intervals import expected, steady_intervals
 from gspn_framework_package.analysis.limits import Limits
 from gspn_framework_package.analysis.plan.structure import may_lose_robots
 from gspn_framework_package.analysis.plan.subnets import TITLES
@@ -92,10 +93,15 @@ def _analyse(request: Dict[str, Any]) -> None:
     if "sweep" in request:
         sweep_in_parts(subject, request["sweep"], progress, lambda part: _say(part={"sweep": part}))
         return
-    if "exact" in request:
-        _say(part={"exact": exact_paces(subject, form_number(request, "exact"), progress)})
     if "predict" in request:
+        paces: Iterator[Dict[str, Any]] = iter(())
+        if "exact" in request:
+            paces = exact_paces(subject, form_number(request, "exact"), progress)
+        for found in islice(paces, 1):  # how far off it may be takes longer
+            _say(part={"exact": found})
         _say(part={"prediction": _predict(subject, request["predict"], progress)})
+        for found in paces:
+            _say(part={"exact": found})
         return
     if "decide" in request:
         _say(part={"decided": _decide(subject, request, progress)})
@@ -197,26 +203,30 @@ def _predict(subject: Union[Net, Plan], asked: Any, progress: Any) -> Dict[str, 
 
 def exact_paces(
     subject: Union[Net, Plan], seconds: Optional[float], progress: Progress
-) -> Dict[str, Any]:
+) -> Iterator[Dict[str, Any]]:
     """The firings per second of each transition in the long run, by the Markov chain with
-    ``states`` states, with the half widths of their intervals where durations are replaced; or
-    ``why`` there is no such answer within so many seconds."""
+    ``states`` states, and then again with the half widths of their intervals, which take longer,
+    and ``notes`` about these; or ``why`` there is no such answer within so many seconds."""
     if isinstance(subject, Plan):
         differing = PlanTiming(subject).differing
         if differing:
-            return {"why": differing}
+            yield {"why": differing}
+            return
         subject = replace(subject, until=None)
     limits = Limits(seconds=seconds or 1.0, memory=ANALYSIS_MEMORY // 2)
     try:
         analysis = Analysis(subject, limits=limits, structure=False, progress=progress)
-        found = steady_intervals(analysis)["throughput"]
+        answer = {
+            "states": analysis.space.count(slice(None)),
+            "throughput": analysis.measures.throughput,
+            "notes": expected(analysis).notes,
+        }
     except GspnError as error:
-        return {"why": error.message}
-    return {
-        "states": analysis.space.count(slice(None)),
-        "throughput": {name: value for name, (value, _) in found.items()},
-        "half_widths": {name: _readable(half) for name, (_, half) in found.items()},
-    }
+        yield {"why": error.message}
+        return
+    yield answer
+    found, _ = steady_intervals(analysis)
+    yield {**answer, "half_widths": {name: half for name, (_, half) in found["throughput"].items()}}
 
 
 def _decide(

@@ -222,6 +222,10 @@ class Parameters(NamedTuple):
             durations=team.durations,
             outcomes=team.outcomes,
             failures=team.failures,
+            evidence={
+                (key, name): of.scaled(self.rates.get(name, 1.0) if key == "rates" else 1.0)
+                for (key, name), of in team.evidence.items()
+            },
             own_times={
                 robot: self.own.get(robot, plain)._applied(times)
                 for robot, times in plan.own_times.items()

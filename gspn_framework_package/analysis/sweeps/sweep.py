@@ -56,8 +56,8 @@ class SweepPoint(NamedTuple):
     :ivar number: its number in the grid, from 0.
     :ivar values: a value for each variation.
     :ivar key: a digest of all that the measures depend on.
-    :ivar replications: number of runs; 0: the measures are computed, and have half widths only
-        where durations are not represented exactly.
+    :ivar replications: number of runs; 0: the measures are computed.
+    :ivar notes: what the half widths of computed measures hold: sentences for people.
     """
 
     number: int
@@ -65,6 +65,7 @@ class SweepPoint(NamedTuple):
     key: str
     measures: PointMeasures
     replications: int
+    notes: Sequence[str] = ()
 
 
 class Sweep:
@@ -155,14 +156,22 @@ class Sweep:
                     measures.setdefault(measure, {})[name] = {"mean": mean, "half_width": half}
             values = dict(zip((v.name for v in self.variations), point.values))
             found.append(
-                {"values": values, "replications": point.replications, "measures": measures}
+                {
+                    "values": values,
+                    "replications": point.replications,
+                    "measures": measures,
+                    "notes": list(point.notes),
+                }
             )
         vary = [{"name": v.name, "values": list(v.values)} for v in self.variations]
         named = [{"measure": measure, "name": name} for measure, name in wanted]
         return {"vary": vary, "measures": named, "points": found}
 
-    def _point(self, number: int, measures: PointMeasures, replications: int) -> SweepPoint:
-        return SweepPoint(number, self.points[number], self.keys[number], measures, replications)
+    def _point(
+        self, number: int, measures: PointMeasures, replications: int, notes: Sequence[str] = ()
+    ) -> SweepPoint:
+        values, key = self.points[number], self.keys[number]
+        return SweepPoint(number, values, key, measures, replications, notes)
 
     def _simulated(
         self, numbers: Sequence[int], executor: Executor, watch: Watch
@@ -181,11 +190,11 @@ class Sweep:
         shared = (self._limits, self.asked.timing, self._phases)
         workload = Workload(tuple, _analyse, shared)
         items = [WorkItem(workload, self._subjects[n], 1, self.title(n)) for n in numbers]
-        for i, measures in executor.map(items, "points", watch):
-            yield self._point(numbers[i], measures, 0)
+        for i, (measures, notes) in executor.map(items, "points", watch):
+            yield self._point(numbers[i], measures, 0, notes)
 
 
-def _analyse(shared: Any, subject: Any, watch: Watch) -> PointMeasures:
+def _analyse(shared: Any, subject: Any, watch: Watch) -> Tuple[PointMeasures, List[str]]:
     limits, timing, phases = shared
     analysis = Analysis(
         subject,
@@ -195,13 +204,7 @@ def _analyse(shared: Any, subject: Any, watch: Watch) -> PointMeasures:
         phases=phases,
         cancel=watch.cancelled,
     )
-    return {
-        measure: {
-            name: (value, half if math.isfinite(half) else None)
-            for name, (value, half) in found.items()
-        }
-        for measure, found in steady_intervals(analysis).items()
-    }
+    return steady_intervals(analysis)
 
 
 def measures_of(result: Simulation) -> PointMeasures:

@@ -160,7 +160,13 @@ def _rate(subject: Union[Net, Plan], name: str, rate: Any, timing: str) -> Union
                 "the duration of the action in %s counts, not the rate" % place,
                 hint="vary duration:%s" % place,
             )
-    return subject.with_rates({name: rate})
+    return _given(subject.with_rates({name: rate}), "rates", name)
+
+
+def _given(plan: Plan, key: str, name: str) -> Plan:
+    """The plan with a value that does not come from logs."""
+    kept = {of: evidence for of, evidence in plan.evidence.items() if of != (key, name)}
+    return replace(plan, evidence=kept)
 
 
 def _duration(subject: Union[Net, Plan], place: str, mean: Any, timing: str) -> Plan:
@@ -173,7 +179,7 @@ def _duration(subject: Union[Net, Plan], place: str, mean: Any, timing: str) -> 
         )
     factor = mean / old.mean
     return replace(
-        plan,
+        _given(plan, "durations", place),
         durations={**plan.durations, place: old.scaled(factor)},
         own_times={robot: own.scaled({place: factor}) for robot, own in plan.own_times.items()},
     )
@@ -190,6 +196,7 @@ def _failure(subject: Union[Net, Plan], place: str, chance: Any, _: str) -> Plan
         robot: its._replace(failures={p: v for p, v in its.failures.items() if p != place})
         for robot, its in plan.own_times.items()
     }
+    plan = _given(plan, "failures", place)
     return replace(plan, failures={**plan.failures, place: chance}, own_times=own).validate()
 
 

@@ -7,12 +7,18 @@ import numpy as np
 import pytest
 from test_run_analysis import plan_of
 
+from gspn_framework_package.analysis import intervals
 from gspn_framework_package.analysis.analyse import Analysis
+from gspn_framework_package.analysis.intervals import steady_intervals
+from gspn_framework_package.analysis.monitoring.prediction import Parameters
 from gspn_framework_package.analysis.report import Questions, report
+from gspn_framework_package.analysis.sweeps.variation import read_variation, varied
 from gspn_framework_package.cli.main import main
+from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.formats.plan_json import plan_to_json
 from gspn_framework_package.model.builder import NetBuilder
-from gspn_framework_package.model.duration import Duration
+from gspn_framework_package.model.duration import Duration, Evidence
+from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.event import EventSource
 from gspn_framework_package.run_net.phases import number_of_phases, phases_of
 
@@ -191,6 +197,87 @@ def test_a_sweep_has_as_many_phases_as_asked_for(tmp_path, capsys):
     for words in (["--exact", "--phases", "0"], ["--phases", "3"]):
         assert main(["sweep", str(path), "--vary", "rate:alarm=0.8", *words]) == 2
         assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.fixture(scope="module")
+def learned(tmp_path_factory):
+    """A plan of two roads, and what was learned from a minute of it: two plan files."""
+    folder = tmp_path_factory.mktemp("learned")
+    durations = {"Long": Duration.gamma(30.0, 2.0), "Short": Duration.exponential(1.0)}
+    true, log, fitted = (str(folder / name) for name in ("true.json", "run.jsonl", "fitted.json"))
+    with open(true, "w", encoding="utf-8") as file:
+        json.dump(plan_to_json(two_roads(durations)), file)
+    assert main(["simulate", true, "--time", "60", "--seed", "2", "--log", log]) == 0
+    assert main(["fit", true, log, "-o", fitted]) == 0
+    return true, fitted
+
+
+SOURCES = "durations are replaced and the logs that values were learned from are short"
+
+
+def test_half_widths_of_sweeps_hold_phases_and_logs(learned, tmp_path, capsys):
+    true, fitted = learned
+    capsys.readouterr()
+    table = str(tmp_path / "a.csv")
+    asked = ["--vary", "robots=2..3", "--exact", "--phases", "4", "--measure", "there", "--json"]
+    for kept in (0, 2):  # the second time from the store
+        assert main(["sweep", fitted, *asked, "--output", table]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert found["kept"] == kept
+        assert "the half widths hold that " + SOURCES in found["notes"]
+        for point in found["points"]:
+            pace = point["measures"]["throughput"]["there"]
+            truth = point["values"]["robots"] / 3.0  # a round takes 3 s
+            assert 0 < pace["half_width"] < 0.5 * truth
+            assert abs(pace["mean"] - truth) <= pace["half_width"]
+    assert main(["analyse", fitted, "--phases", "4", "--no-structure", "--json"]) == 0
+    low, high = json.loads(capsys.readouterr().out)["intervals"]["steady_state.throughput"]["there"]
+    assert high - low == pytest.approx(2 * pace["half_width"], rel=1e-6)
+    assert main(["simulate", true, "--time", "500", "--replications", "20", "--json"]) == 0
+    simulated = json.loads(capsys.readouterr().out)["throughput"]["there"]["mean"]
+    assert low <= simulated <= high
+
+
+def test_a_value_that_a_sweep_gives_is_not_uncertain(learned, capsys):
+    plan = read_plan(learned[1])
+    given, words = plan, ["duration:Long=2", "duration:Short=1"]
+    assert {name for key, name in plan.evidence if key == "durations"} == {"Long", "Short"}
+    for text in words:
+        variation = read_variation(text)
+        given = varied(given, [variation], variation.values, {})
+    assert not [key for key, _ in given.evidence if key == "durations"]
+
+
+def test_intervals_of_learned_values_follow_a_factor(learned):
+    plan = read_plan(learned[1])
+
+    def relative(factor):
+        """The half width, relative to its mean and to what the times change of it."""
+        changed = Parameters({"Short": factor}, {}, {}, {}).apply(plan)
+        tokens = steady_intervals(Analysis(changed, phases=1))[0]["mean_tokens"]
+        mean, half = tokens["Short"]
+        return half / mean / tokens["Long"][0]
+
+    evidence = plan.evidence["durations", "Short"]
+    assert Evidence(3, (), None).scaled(2.0).interval is None
+    assert evidence.scaled(2.0).interval == tuple(2 * end for end in evidence.interval)
+    assert relative(0.8) == pytest.approx(relative(1.0), rel=0.01)
+
+
+def test_an_interval_that_was_not_computed_is_not_known(learned, monkeypatch):
+    analysis = Analysis(read_plan(learned[1]), phases=4)
+    monkeypatch.setattr(intervals, "_DRAWN_STATES", 7 * 4)
+    found, notes = steady_intervals(analysis)
+    assert "how short the logs are is left out" in notes[1]
+    assert notes[0] == "the half widths hold that durations are replaced"
+
+    def refuse(other):
+        raise LimitError("not solved")
+
+    here = {"throughput": analysis.measures.throughput}
+    monkeypatch.undo()
+    widths = intervals.half_widths(analysis, here, refuse).widths
+    assert set(widths["throughput"].values()) == {np.inf}
 
 
 def test_short_logs_make_intervals_wider(tmp_path, capsys):

@@ -11,7 +11,7 @@ from page_client import PageClient
 
 from gspn_framework_package.formats.example_plans import plans_folder
 from gspn_framework_package.formats.plan_file import read_plan
-from gspn_framework_package.model.duration import Duration
+from gspn_framework_package.model.duration import Duration, Evidence
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.visualizer import app, what_if
 from gspn_framework_package.visualizer.analysis_worker import exact_paces
@@ -123,7 +123,21 @@ def test_where_there_is_no_exact_answer_it_says_why() -> None:
     changed = what_if_in_form({"each": {robot: 2}}, plan).apply(plan)
     assert pace(plan, each={robot: 8}) < pace(plan)
     assert not what_if_in_form({"slower": 2, "each": {robot: 1}}, plan).apply(plan).own_times
-    assert "do not distinguish robots" in exact_paces(changed, 1.0, lambda *_: None)["why"]
+    assert "do not distinguish robots" in next(exact_paces(changed, 1.0, lambda *_: None))["why"]
+
+
+def test_the_exact_answer_for_a_learned_plan_says_how_far_off_it_may_be() -> None:
+    plan = read_plan(plans_folder() + "/patrol").for_robots(1)
+    times = {place: Duration.exponential(mean) for place, mean in action_means(plan).items()}
+    of = {("durations", place): Evidence(40, ("a.jsonl",)) for place in times}
+    learned = replace(plan, durations=times, evidence=of)
+    first, last = exact_paces(learned, 60.0, lambda *_: None)
+    why = "the half widths hold that the logs that values were learned from are short"
+    assert "half_widths" not in first and first["notes"] == last["notes"] == [why]
+    fired = {name: half for name, half in last["half_widths"].items() if first["throughput"][name]}
+    assert fired and all(half > 0 for half in fired.values())
+    known, same = exact_paces(plan, 60.0, lambda *_: None)
+    assert known["notes"] == [] and set(same["half_widths"].values()) == {0.0}
 
 
 def test_a_net_alone_has_no_runs_to_predict() -> None:

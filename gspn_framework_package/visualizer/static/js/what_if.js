@@ -166,18 +166,18 @@ export class WhatIf {
     );
     if (!answer || this.looking || this.closed) return;
     this.job = answer.job;
-    const report = await followJob(answer.job, ({ result }) => {
+    await followJob(answer.job, ({ result }) => {
       if (this.job !== answer.job) return true;
-      if (result?.exact && !this.exact) {
-        this.exact = result.exact;
+      const { exact, prediction } = result ?? {};
+      if (JSON.stringify(exact) !== JSON.stringify(this.exact)) {
+        this.exact = exact;
         this.draw();
       }
+      if (prediction && !this.found.whole)
+        this.show({ ...prediction, seconds: next.time, whole: true });
       return false;
     });
-    if (this.job !== answer.job) return;
-    this.job = null;
-    const found = report.result?.prediction;
-    if (found) this.show({ ...found, seconds: next.time, whole: true });
+    if (this.job === answer.job) this.job = null;
   }
 
   show(found) {
@@ -188,16 +188,18 @@ export class WhatIf {
 
   /** The curve according to the Markov chain. */
   exactly(name, end) {
-    const { states, throughput, half_widths: halves, why } = this.exact || {};
+    const { states, throughput, half_widths: halves, notes, why } = this.exact || {};
     if (why) return ` No exact answer: ${why}.`;
     if (!throughput) return "";
-    const all = (values) => Object.values(values).reduce((a, b) => a + b, 0);
-    const [pace, half] = [throughput, halves].map((of) => (name === ALL ? all(of) : of[name]));
-    const count = half ? `About ${number(pace * end)}` : `Exactly ${number(pace * end)}`;
-    const off = half
-      ? ` give or take ${rounded(half * end, 2)}, since durations are replaced,`
-      : "";
-    return ` ${count}${off} on average in the long run (Markov chain of ${number(states)} states).`;
+    const count = (values) => {
+      const chosen = name === ALL ? Object.values(values) : [values[name]];
+      return chosen.includes(null) ? null : end * chosen.reduce((a, b) => a + b, 0);
+    };
+    const half = halves ? count(halves) : null;
+    const off = half === null ? " give or take an unknown number" : ` ± ${rounded(half, 2)}`;
+    const found = `${notes.length ? "About" : "Exactly"} ${number(count(throughput))}`;
+    const how = [`Markov chain of ${number(states)} states`, ...notes].join("; ");
+    return ` ${found}${notes.length && half !== 0 ? off : ""} on average in the long run (${how}).`;
   }
 
   draw() {
