@@ -38,7 +38,7 @@ OPTIMISE_SECONDS = 600.0
 MOST_STATES = 2_000_000
 """Largest limit on states that the page may ask for."""
 
-_WORKER = [sys.executable, "-m", "gspn_framework_package.visualizer.analysis_worker"]
+_WORKER = ("-m", "gspn_framework_package.visualizer.analysis_worker")
 
 ALL_TRANSITIONS = "all transitions"
 """The name of the sum over all transitions, in a prediction."""
@@ -78,13 +78,7 @@ class _Job:
         self.ended = 0.0
         self._complaints = tempfile.TemporaryFile()  # noqa: SIM115  # a full pipe would block the process
         try:
-            self._process = subprocess.Popen(
-                _WORKER,
-                env=worker_environment(),
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=self._complaints,
-            )
+            self._process = start_worker(_WORKER, self._complaints)
         except OSError:
             self._complaints.close()
             raise
@@ -281,18 +275,27 @@ class AnalysisJobs:
                 job.kill()
 
 
+def start_worker(words: Sequence[str], complaints: Any = None) -> subprocess.Popen[bytes]:
+    """Start ``python WORDS...`` with pipes, so that it imports the package that this process runs.
+
+    :param complaints: the file for what it writes to stderr.
+    """
+    root = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+    paths = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
+    single = {"OPENBLAS_NUM_THREADS": "1"}  # as in cli.main
+    return subprocess.Popen(
+        [sys.executable, *words],
+        env={**single, **os.environ, "PYTHONPATH": paths},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=complaints,
+    )
+
+
 def kill(worker: subprocess.Popen[bytes]) -> None:
     """Kill a worker. In Python 3.8 this may raise if another thread has just waited for it."""
     with contextlib.suppress(ProcessLookupError):
         worker.kill()
-
-
-def worker_environment() -> Dict[str, str]:
-    """Make the worker import the same package that this process runs."""
-    root = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
-    paths = [root] + [p for p in os.environ.get("PYTHONPATH", "").split(os.pathsep) if p]
-    single = {"OPENBLAS_NUM_THREADS": "1"}  # as in cli.main
-    return {**single, **os.environ, "PYTHONPATH": os.pathsep.join(paths)}
 
 
 def _bounded(fields: Dict[str, Any], key: str, default: float, low: float, high: float) -> float:

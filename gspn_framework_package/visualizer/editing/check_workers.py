@@ -10,15 +10,13 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
-import subprocess
-import sys
 import threading
 import time
 from typing import Any, Dict, List, Optional
 
 from gspn_framework_package.execution.plan_modules import allowed_modules
 from gspn_framework_package.model.errors import LimitError
-from gspn_framework_package.visualizer.analysis_jobs import kill, worker_environment
+from gspn_framework_package.visualizer import analysis_jobs
 
 WORKERS = 2
 """How many documents are checked at once. While only one is, the other process is on standby."""
@@ -29,7 +27,7 @@ WORKER_PATIENCE = 1.0
 START = 60.0
 """Seconds that a process has to start, on a busy machine."""
 
-_WORKER = [sys.executable, "-m", "gspn_framework_package.visualizer.editing.check_worker"]
+_WORKER = ("-m", "gspn_framework_package.visualizer.editing.check_worker")
 
 _Answer = Dict[str, Any]
 
@@ -45,12 +43,7 @@ class _Worker:
     """A process, guarded by the lock of its pool."""
 
     def __init__(self) -> None:
-        self.process = subprocess.Popen(
-            [*_WORKER, *allowed_modules()],
-            env=worker_environment(),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-        )
+        self.process = analysis_jobs.start_worker([*_WORKER, *allowed_modules()])
         self.request: Optional[_Request] = None
         self.given_up = 0.0
         """When its request was cancelled."""
@@ -160,7 +153,7 @@ class CheckWorkers:
         self._news.notify_all()
 
     def _kill(self, worker: _Worker) -> None:
-        kill(worker.process)
+        analysis_jobs.kill(worker.process)
         if worker in self._workers:
             self._workers.remove(worker)
         self._news.notify_all()

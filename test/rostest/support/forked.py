@@ -1,8 +1,11 @@
-"""Runs node scripts in processes forked from one that has imported what they need, as those of
-``gspn_team`` are: the imports take half of the processor time of a node that lives for seconds."""
+"""Processes that are forked from one that has imported what they need, as those of ``gspn_team``
+are: the imports take most of the processor time of a process that lives for a few seconds."""
 
+import array
+import atexit
 import ctypes
 import gc
+import importlib
 import json
 import os
 import runpy
@@ -12,44 +15,67 @@ import subprocess
 import sys
 import threading
 import time
-import traceback
 
-import rosgraph
-import rospy
-
-from gspn_framework_package.ros import (  # noqa: F401
-    event_sources,
-    execution_node,
-    node_main,
-    place_servers,
-    service_line,
-)
-from gspn_framework_package.ros.transport import master_watch  # noqa: F401
-
-_BE_SUBREAPER = 36  # prctl(2)
+_BE_SUBREAPER = 36  # prctl(2): orphans become children of this process
 
 
-class ForkedScript:
-    """A script that runs as a child of this process; the usual part of ``subprocess.Popen``.
+class ForkServer:
+    """A process that forks others. It starts with the first of them and ends with this process.
 
-    :param words: the script and its arguments.
-    :param output: the file to which it writes.
+    :param modules: what it imports.
     """
 
-    def __init__(self, words, output):
-        self.returncode = None
-        request = {"words": words, "output": output, "environment": dict(os.environ)}
-        with _LOCK:
-            _FORKS.write(json.dumps(request) + "\n")
-            _FORKS.flush()
-            self.pid = int(_FORKS.readline())
+    def __init__(self, *modules):
+        self._modules = modules
+        self._connection = None
+        self._lock = threading.Lock()
+
+    def start(self, words, files):
+        """Start ``python WORDS...`` as a child of this process.
+
+        :param words: ``-m``, a module with a function ``main`` and its arguments; or a script and
+            its arguments.
+        :param files: the numbers of the files that are its input, output and complaints.
+        """
+        request = {"words": words, "folder": os.getcwd(), "environment": dict(os.environ)}
+        told = [(socket.SOL_SOCKET, socket.SCM_RIGHTS, array.array("i", files))]
+        with self._lock:
+            if self._connection is None:
+                self._connection = self._begin()
+            self._connection.sendmsg([json.dumps(request).encode()], told)
+            return ForkedProcess(int(self._connection.recv(100)))
+
+    def _begin(self):
+        ctypes.CDLL(None).prctl(_BE_SUBREAPER, 1, 0, 0, 0)
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        for each in (ours, theirs):
+            each.settimeout(None)  # rospy gives all new sockets a timeout
+        paths = {"PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
+        with theirs:
+            process = subprocess.Popen(
+                [sys.executable, __file__, str(theirs.fileno()), *self._modules],
+                env={**os.environ, **paths},
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+            )
+        atexit.register(lambda: (ours.close(), process.wait()))
+        return ours
+
+
+class ForkedProcess:
+    """The usual part of ``subprocess.Popen``."""
+
+    def __init__(self, pid):
+        self.pid, self.returncode = pid, None
+        self._lock = threading.Lock()
 
     def poll(self):
-        if self.returncode is None:
-            pid, status = os.waitpid(self.pid, os.WNOHANG)
-            if pid:
-                killed = os.WIFSIGNALED(status)
-                self.returncode = -os.WTERMSIG(status) if killed else os.WEXITSTATUS(status)
+        with self._lock:
+            if self.returncode is None:
+                pid, status = os.waitpid(self.pid, os.WNOHANG)
+                if pid:
+                    killed = os.WIFSIGNALED(status)
+                    self.returncode = -os.WTERMSIG(status) if killed else os.WEXITSTATUS(status)
         return self.returncode
 
     def wait(self, timeout=float("inf")):
@@ -68,68 +94,53 @@ class ForkedScript:
         self.send_signal(signal.SIGKILL)
 
 
-def _serve(requests):
-    """Fork the scripts that are requested, until the process of the tests has ended. The process
-    between them ends at once, so that each script becomes a child of the process of the tests."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # meant for the tests
+def _serve(requests, modules):
+    """Fork until the process of the tests has ended; returns the request to each forked process."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])  # meant for the tests
+    for name in modules:
+        importlib.import_module(name)
+    if len(os.listdir("/proc/self/task")) > 1:
+        raise RuntimeError("cannot fork: there are several threads")
+    gc.collect()
     gc.freeze()
-    for line in requests:
-        read, write = os.pipe()
+    read, write = os.pipe()
+    while True:
+        text, told, _, _ = requests.recvmsg(1 << 20, socket.CMSG_SPACE(3 * 4))
+        if not text:
+            os._exit(0)
+        files = array.array("i", told[0][2])
+        # the process between ends at once, so that the other becomes a child of that of the tests
         if os.fork() == 0:
-            script = os.fork()
-            if script == 0:
-                requests.close()
-                os.close(read)
-                os.close(write)
-                _be(**json.loads(line))
-            os.write(write, b"%d\n" % script)
+            forked = os.fork()
+            if forked == 0:
+                for number, file in enumerate(files):
+                    os.dup2(file, number)
+                os.closerange(3, max(*files, read, write, requests.fileno()) + 1)
+                return json.loads(text)
+            os.write(write, b"%d" % forked)
             os._exit(0)
         os.wait()
-        requests.write(os.read(read, 100).decode())
-        requests.flush()
-        os.close(read)
-        os.close(write)
-    os._exit(0)
-
-
-def _be(words, output, environment):
-    """Be the script; rospy has read the arguments and the environment of the tests."""
-    code = 1
-    try:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        for number, mode in ((0, os.O_RDONLY), (1, os.O_WRONLY | os.O_CREAT | os.O_APPEND)):
-            file = os.open(output if number else os.devnull, mode, 0o644)
-            os.dup2(file, number)
+        requests.send(os.read(read, 100))
+        for file in files:
             os.close(file)
-        os.dup2(1, 2)
-        os.environ.clear()
-        os.environ.update(environment)
-        sys.argv = words
-        rospy.names.reload_mappings(words)
-        rospy.names._set_caller_id(rosgraph.names.get_ros_namespace() + "unnamed")
-        runpy.run_path(words[0], run_name="__main__")
-        code = 0
-    except BaseException:  # no code of the tests may run here
-        traceback.print_exc()
-    finally:
+
+
+def _be(words, folder, environment):
+    """Be what Python would be with these words."""
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
+    os.chdir(folder)
+    os.environ.clear()
+    os.environ.update(environment)
+    module = words[0] == "-m"
+    sys.argv = words[module:]
+    if "rospy" in sys.modules:  # it has read the arguments and the environment of the server
+        importlib.reload(sys.modules["rospy.names"])
+    if module:
+        code = sys.modules[words[1]].main() or 0
         sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)
+        os._exit(code)  # Python's own end would look at all that is shared
+    runpy.run_path(words[0], run_name="__main__")
 
 
-def _begin():
-    if threading.active_count() > 1:
-        raise RuntimeError("cannot fork: there are %d threads" % threading.active_count())
-    ctypes.CDLL(None).prctl(_BE_SUBREAPER, 1, 0, 0, 0)
-    ours, theirs = socket.socketpair()
-    if os.fork() == 0:
-        ours.close()
-        requests = theirs.makefile("rw")
-        theirs.close()  # once the file is closed
-        _serve(requests)
-    theirs.close()
-    return ours.makefile("rw")
-
-
-_LOCK = threading.Lock()
-_FORKS = _begin()
+if __name__ == "__main__":
+    _be(**_serve(socket.socket(fileno=int(sys.argv[1])), sys.argv[2:]))

@@ -15,7 +15,7 @@ import xmlrpc.client
 
 import rosgraph
 import rospy
-from forked import ForkedScript
+from forked import ForkServer
 from waiting import PATIENCE, wait_for
 
 from gspn_framework_package.execution.event_log import read_log
@@ -25,6 +25,15 @@ from gspn_framework_package.srv import Command, GetState
 
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__)))))
 
+_SERVER = ForkServer(
+    "gspn_framework_package.ros.event_sources",
+    "gspn_framework_package.ros.node_main",
+    "gspn_framework_package.ros.place_servers",
+    "gspn_framework_package.ros.service_line",
+    "gspn_framework_package.ros.execution_node",
+    "gspn_framework_package.ros.transport.master_watch",
+)
+
 
 def start_node(script, namespace, output, name="node", **parameters):
     """Start one of the package's node scripts as a process that writes to the file ``output``."""
@@ -32,7 +41,9 @@ def start_node(script, namespace, output, name="node", **parameters):
         rospy.delete_param("%s/%s" % (namespace, name))  # of a node of the same name before
     words = ["_%s:=%s" % (key, json.dumps(value)) for key, value in parameters.items()]
     script = os.path.join(ROOT, "scripts", script)
-    return ForkedScript([script, "__ns:=" + namespace, "__name:=" + name, *words], output)
+    words = [script, "__ns:=" + namespace, "__name:=" + name, *words]
+    with open(output, "a") as file:
+        return _SERVER.start(words, [0, file.fileno(), file.fileno()])
 
 
 class Robot:

@@ -242,7 +242,7 @@ def test_a_plan_is_read_as_it_runs_or_as_its_net(ask):
     ],
 )
 def test_whatever_becomes_of_the_process_ends_the_analysis(ask, monkeypatch, worker, told):
-    monkeypatch.setattr(analysis_jobs, "_WORKER", [sys.executable, "-c", worker])
+    monkeypatch.setattr(analysis_jobs, "_WORKER", ["-c", worker])
     client = ask(small_net())
     key = start(client, structure=True, seconds=100).get_json()["job"]
 
@@ -256,7 +256,7 @@ def test_whatever_becomes_of_the_process_ends_the_analysis(ask, monkeypatch, wor
 def test_a_process_that_ends_while_it_is_cancelled_is_no_error(ask, monkeypatch):
     """Python 3.8 raises that of a process that another thread has just waited for."""
     worker = "import sys, time; sys.stdin.close(); sys.stdout.close(); time.sleep(0.5)"
-    monkeypatch.setattr(analysis_jobs, "_WORKER", [sys.executable, "-c", worker])
+    monkeypatch.setattr(analysis_jobs, "_WORKER", ["-c", worker])
     client = ask(small_net())
     key = start(client, structure=True, seconds=100).get_json()["job"]
     gone = mock.Mock(side_effect=ProcessLookupError)
@@ -266,6 +266,7 @@ def test_a_process_that_ends_while_it_is_cancelled_is_no_error(ask, monkeypatch)
 
 
 def test_a_process_that_cannot_be_started_is_reported(ask, monkeypatch):
-    monkeypatch.setattr(analysis_jobs, "_WORKER", ["/nowhere/python3"])
-    answer = start(ask(small_net()), structure=True)
+    client = ask(small_net())
+    monkeypatch.setattr(sys, "executable", "/nowhere/python3")
+    answer = start(client, structure=True)
     assert answer.status_code == 503 and "cannot do that now" in answer.get_json()["error"]
