@@ -30,7 +30,7 @@ from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.run_net.compiling import one_phase_each
 
 _REPLACED = "durations are replaced"
-"""What an interval holds, if durations are not represented exactly."""
+"""What an interval takes into account if durations are not represented exactly."""
 
 _LEARNED = "the logs that values were learned from are short"
 
@@ -47,15 +47,15 @@ _MANY_STATES = (
 )
 
 AnswerTables = Dict[str, Dict[str, float]]
-"""What answers are of -> name -> number. The name of an answer that is a number by itself is
-empty."""
+"""Kind of answer -> name -> number. The name of an answer that is a single number is empty."""
 
 
 class HalfWidths(NamedTuple):
     """Half the widths of the intervals of answers; infinite: not known.
 
-    :ivar sources: what the intervals hold, in words for people; empty if there are none.
-    :ivar left_out: what they should hold, but do not: a sentence; empty if there is nothing.
+    :ivar sources: what the intervals take into account, in words for people; empty if there are
+        none.
+    :ivar left_out: what they should take into account, but do not: a sentence; empty if nothing.
     """
 
     widths: AnswerTables
@@ -187,7 +187,7 @@ def add_intervals(
     analysis: Analysis, data: Dict[str, Any], timed: Callable[[Analysis], Dict[str, Any]]
 ) -> None:
     """Add to a report the ``intervals`` of its answers about time, with ``interval_sources``: what
-    they hold, in words for people.
+    they take into account, in words for people.
 
     :param timed: that part of the report of another analysis.
     """

@@ -1,8 +1,8 @@
 """Keeps the machine code of numba's functions so that a later process runs it without numba.
 
-To import numba and to read its own cache takes longer than many a question does; llvmlite alone
-loads the same code in a tenth of the time. The import of this module fails if numba is not
-installed. Such a function creates no arrays, raises nothing, and returns whole numbers or nothing.
+To import numba and to read its own cache takes longer than many questions do; llvmlite alone loads
+the same code in a tenth of the time. The import of this module fails if numba is not installed.
+Such a function creates no arrays, raises nothing, and returns whole numbers or nothing.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class KeptCode:
         module = binding.parse_assembly(self.dispatcher.inspect_llvm(signature))
         taken = list(module.get_function(name).arguments)
         outside = [f.name for f in module.functions if f.is_declaration]
-        # it must take what is handed over, and need nothing of Python or numba
+        # it must accept these arguments, and need nothing of Python or numba
         assert len(taken) == 2 + len(list(_flat(arguments))), "%s takes %s" % (name, taken)
         assert not [n for n in outside if n.startswith(("NRT", "numba", "Py"))], outside
         return name, 0 if returned == types.none else count, _machine().emit_object(module)

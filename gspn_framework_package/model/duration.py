@@ -57,9 +57,9 @@ class DurationPart(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """A family of distributions that are made of others: a part is drawn, and a time of it. What
-    the package needs to know of a time follows from the parts. One that is made of no others gives
-    its quantiles to :func:`~gspn_framework_package.model.families.parts_of_quantiles`.
+    """A family of mixtures of other distributions: a part is drawn, then a time from it. The
+    package computes everything else from the parts. A family that is not a mixture gives its
+    quantiles to :func:`~gspn_framework_package.model.families.parts_of_quantiles`.
 
     :ivar value: its name in a plan file.
     :ivar form: its parameters in a plan file: name -> JSON Schema of the number, with its
@@ -244,7 +244,7 @@ class Duration:
 
     @property
     def parts(self) -> Tuple[DurationPart, ...]:
-        """The parts that it is drawn from; itself, if it is not made of others."""
+        """The durations of which it is a mixture; itself, if it is not one."""
         if self.kind is Kind.HYPER_ERLANG:
             return tuple(
                 DurationPart(p, 0.0, Duration.erlang(int(k), m)) for p, k, m in self._mixture()

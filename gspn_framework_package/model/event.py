@@ -148,8 +148,8 @@ class EventSource(NamedTuple):
 BY_ARRIVAL, BY_PRIORITY, BY_DEADLINE = "arrival", "priority", "deadline"
 QUEUE_ORDERS = (BY_ARRIVAL, BY_PRIORITY, BY_DEADLINE)
 """The orders in which the tasks of a queue are taken: as they came; those of a higher priority
-before others; those that are late sooner before others, and of these those of a higher priority.
-Among equals, the first that came is the first to be taken."""
+before others; those that will be late sooner before others, and of these those of a higher
+priority. Among equals, the first that came is the first to be taken."""
 
 
 class Tasks(NamedTuple):

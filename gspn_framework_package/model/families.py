@@ -25,13 +25,13 @@ _STEPS = 250
 """Steps of probability between the quantiles of a part that is given by them."""
 
 _DECADES = 9
-"""A time that is given by its quantiles has no values above that of the level 1 - 1e-9."""
+"""A distribution given by its quantiles has no values above its quantile of 1 - 1e-9."""
 
 
 def parts_of_quantiles(quantile: Callable[[Any], Any]) -> List[DurationPart]:
-    """The parts of a time that is made of no others: nine tenths of all times, nine tenths of the
-    longer ones, and so on, each by 251 of its quantiles. So a probability of the time is off by
-    0.4 % of that of its part at most, and for a smooth density by far less.
+    """The parts of a distribution that is not a mixture: nine tenths of all times, nine tenths of
+    the longer ones, and so on, each by 251 of its quantiles. So a probability is off by at most 0.4
+    % of that of its part, and for a smooth density by far less.
 
     :param quantile: the time (s) that is not exceeded with each of an array of probabilities from 0
         to 1 - 1e-9.
@@ -91,7 +91,7 @@ def duration_from_json(data: Mapping[str, Any]) -> Duration:
 
 
 def compose(family: Family, parameters: Mapping[str, float]) -> Duration:
-    """A distribution of a family that is made of others.
+    """A distribution of a family of mixtures.
 
     :param parameters: the value of each of its parameters.
     :raises PlanError: they are out of range, or the parts are not a distribution.
@@ -154,7 +154,7 @@ class _Composed(Duration):
         if abs(found.mean - factor * self.mean) > 1e-6 * found.mean:
             raise PlanError(
                 "the family '%s' cannot be scaled" % self.kind.value,
-                hint="its parts may have no other times than its parameters in seconds",
+                hint="its parts must not have times other than its parameters in seconds",
             )
         return found
 

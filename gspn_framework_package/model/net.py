@@ -89,7 +89,7 @@ class Transition(NamedTuple):
 
     @property
     def number(self) -> float:
-        """Its rate, or weight, where only a number will do.
+        """Its rate or weight, where a number is required.
 
         :raises RefusedError: it depends on the marking.
         """
@@ -542,7 +542,7 @@ class Net:
         for t, function in self.functions.items():
             for name in gone.intersection(function.places):
                 raise NetError(
-                    "its %s '%s' names the place '%s', which is taken out"
+                    "its %s '%s' names the place '%s', which is removed"
                     % (_meaning(self.transitions[t]), function.text, name),
                     element=_node_name(self.transitions[t]),
                 )

@@ -742,7 +742,7 @@ class Plan:
             self._validate_on_cancel(place, transition)
 
     def _validate_hours(self, t: int, source: EventSource, outside: bool) -> None:
-        """Check a transition of the clock, and that it does not go round in its first hour."""
+        """Check a transition of the clock, and that the clock does not cycle in its first hour."""
         net, name = self.net, self.net.transitions[t].name
         element = "events.%s" % name
         if not outside or name in self.submissions or not net.inputs[t]:
@@ -764,8 +764,8 @@ class Plan:
             if t in new:
                 raise self._error(
                     element,
-                    "at %g h the clock goes round without time" % source.from_hour,
-                    "let each hour of the day be outside those of a transition on the way",
+                    "at %g h the transitions of the clock fire in a cycle" % source.from_hour,
+                    "at each hour of the day, at least one transition of the cycle must not fire",
                 )
             new, reached = new - reached, reached | new
 
@@ -819,7 +819,7 @@ class Plan:
                 key, place = new[0]
                 raise self._error(
                     "%s%s.%s" % (within, key, place),
-                    "a robot cannot have a duration, an outcome or failures that the team has not",
+                    "a robot cannot have a duration, an outcome or failures that the team lacks",
                     "give %s.%s, too" % (key, place),
                 )
         for place in self.chance:

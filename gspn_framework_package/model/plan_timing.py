@@ -34,14 +34,14 @@ from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import OwnTimes, Plan
 
 POLICY = -1
-"""In place of a transition: the action named none, and the policy decides."""
+"""Stands for a transition: the action named none, and the policy decides."""
 
 
 NO_REQUEST = -2
-"""In place of a transition: none, and the policy does not decide either."""
+"""Stands for a transition: none, and the policy does not decide either."""
 
 FOR_GOOD = -3
-"""In place of a transition: nothing ever, since no transition leaves the place."""
+"""Stands for a transition: nothing ever, since no transition leaves the place."""
 
 
 class PlaceTiming(NamedTuple):

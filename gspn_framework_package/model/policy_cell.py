@@ -39,7 +39,7 @@ _SIGNS: Dict[str, Callable[[int, int], bool]] = {
 
 
 def cell_fits(cell: Cell, count: int) -> bool:
-    """Whether a place with ``count`` tokens is as the cell asks."""
+    """Whether ``count`` tokens in a place fit the cell."""
     if isinstance(cell, CountTest):
         return _SIGNS[cell.sign](count, cell.tokens)
     return cell is None or cell == count

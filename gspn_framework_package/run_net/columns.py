@@ -171,8 +171,8 @@ class Race(NamedTuple):
 def spread(
     found: List[Tuple[List[int], float]], entry: Sequence[Tuple[int, float]], robots: int
 ) -> List[Tuple[List[int], float]]:
-    """Put ``robots`` more into the columns of ``entry``, each by chance: the counts that may
-    follow, with probabilities. It may change the lists in ``found``."""
+    """Add ``robots`` robots to the columns of ``entry``, each at random; return the possible counts
+    with their probabilities. It may change the lists in ``found``."""
     if not robots:
         return found
     if len(entry) == 1:

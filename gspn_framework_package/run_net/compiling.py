@@ -68,22 +68,22 @@ FEW_PHASES = 4
 """Maximum number of phases of an attempt that is cut off or delayed, unless its action has more."""
 
 MOST_RETRIES = 20
-"""A rule that allows more than this is taken to allow any number."""
+"""A rule that allows more retries than this counts as unlimited."""
 
 _NEVER = 1e-12
-"""A failure with a smaller probability is taken never to happen."""
+"""A failure with a smaller probability counts as impossible."""
 
 _ROUNDING = 1e-15
 """A probability below this is a rounding error."""
 
 
 def one_phase_each(plan: Plan) -> Dict[str, float]:
-    """Of :func:`compile_plan`: one phase for each duration."""
+    """``phases`` of :func:`compile_plan`: one for each duration."""
     return dict.fromkeys(plan.action_places, 1.0)
 
 
 def no_time_if_tiny(plan: Plan, timing: PlanTiming) -> Dict[str, float]:
-    """Of :func:`compile_plan`: no time for the durations that are tiny beside others."""
+    """``phases`` of :func:`compile_plan`: none for the durations that are tiny beside others."""
     durations = {plan.net.places[p].name: one.duration for p, one in timing.places.items()}
     longest = max((duration.mean for duration in durations.values()), default=0.0)
     return {name: 0.0 for name, one in durations.items() if is_tiny(one, longest)}
@@ -183,7 +183,7 @@ class _Compiler:
 
     def _outcomes(self, p: int) -> Shares:
         """The requests of a robot whose action in place ``p`` succeeded; empty if the action never
-        says what is possible."""
+        names a possible transition."""
         if self._rules.classical:
             return ((POLICY, 1.0),)
         possible = self._possible(p)
@@ -191,12 +191,12 @@ class _Compiler:
         return tuple((t, v / total if total < 1.0 - _ROUNDING else v) for t, v in possible)
 
     def _possible(self, p: int) -> List[Tuple[int, float]]:
-        """Those of the plan's outcomes in place ``p`` that say what is possible there."""
+        """Those of the plan's outcomes in place ``p`` that name a possible transition."""
         return [(t, v) for t, v in self._timing[p].asks if t != NO_REQUEST]
 
     def _failure(self, p: int) -> float:
         """The probability that an attempt in place ``p`` fails: it is cut off, or does not succeed,
-        or says nothing that is possible."""
+        or names no possible transition."""
         succeeds = 1.0 - self._timing[p].failure
         succeeds *= min(sum(v for _, v in self._possible(p)), 1.0)
         failure = 1.0 - (1.0 - self._cut_off(p)) * succeeds
@@ -211,7 +211,7 @@ class _Compiler:
         return cut_off if cut_off > _NEVER else 0.0
 
     def _failure_leads_on(self, p: int) -> bool:
-        """Whether a failure in place ``p`` has another effect than that the robot stays there."""
+        """Whether a failure in place ``p`` has any effect other than that the robot stays there."""
         return self._failures[p] > 0 and (self._stops(p) or self._timing[p].fallback >= 0)
 
     def _stops(self, p: int) -> bool:
@@ -219,8 +219,8 @@ class _Compiler:
         return self._failures[p] > 0 and self._timing[p].rule.end is FailureEnd.STOP
 
     def _races(self, p: int) -> bool:
-        """Whether place ``p`` is not split although its action takes time: what leaves it needs
-        only the own token, and the duration is exponential."""
+        """Whether place ``p`` is not split although its action takes time: its transitions need
+        only the robot's own token, and the duration is exponential."""
         timing = self._timing[p]
         return (
             timing.duration.mean > 0
@@ -497,7 +497,7 @@ class _Compiler:
         return taken + [(entry[0][0], w) for entry, w in self._puts(t) if len(entry) == 1]
 
     def _watched_from(self, p: int) -> List[int]:
-        """The places in which a robot that gets done in place ``p`` can change what others may
+        """The places in which a robot that becomes done in place ``p`` can change what others may
         draw."""
         return [
             q

@@ -55,7 +55,7 @@ def ways_to_hold(condition: Condition) -> List[Way]:
         return {p: n * b[-1] for p, n in a.items()} if b.keys() == {-1} else refuse()
 
     def at_least(a: Any, b: Any, strict: bool) -> List[Way]:
-        """The ways in which ``a >= b``, or ``a > b``."""
+        """The ways in which ``a >= b`` holds, or ``a > b`` if ``strict``."""
         difference = add(a, b, -1.0)
         limit = -difference.pop(-1, 0.0)
         parts = tuple((p, int(n)) for p, n in sorted(difference.items()) if n)

@@ -77,9 +77,9 @@ class _Deciding:
     """A place in which robots ask the policy.
 
     :ivar drawn: transition -> the place of the robots that have drawn it.
-    :ivar open: has a token while no row is kept in mind; "": none ever is.
+    :ivar open: has a token while no row is remembered; "": none ever is.
     :ivar again: has a token when robots have to draw again although the marking stays; "": never.
-    :ivar gates: what robots draw from -> the place that has a token while that is kept in mind.
+    :ivar gates: what robots draw from -> the place that has a token while these are remembered.
     """
 
     asking: str
@@ -267,7 +267,8 @@ class _Writer(StagedNet):
     # -- in time -----------------------------------------------------------------------------------
 
     def _pass_time(self) -> None:
-        """Actions go on and end, events come, and the environment fires."""
+        """Make what takes time: phases and ends of actions, events, and the environment's
+        transitions."""
         run = self._run
         for column, rates in run.racing:
             for t, rate in rates:
@@ -404,7 +405,7 @@ class _Writer(StagedNet):
 
     def _gate(self, p: int, deciding: _Deciding, choices: Shares) -> str:
         """The place that has a token while robots in place ``p`` draw from ``choices``, until
-        something can fire that goes before some of them."""
+        something can fire that takes precedence over some of them."""
         if choices in deciding.gates:
             return deciding.gates[choices]
         name, transitions = self._net.places[p].name, self._net.transitions
@@ -441,7 +442,7 @@ class _Writer(StagedNet):
                 self._move(stage, self._value(t), text, deciding.asking, drawn, ready=able)
             elif any(transitions[u].priority < level for u in deciding.drawn):
                 raise RefusedError(
-                    "it has no weight, and goes before others that robots may draw where no row of "
+                    "it has no weight, and precedes others that robots may draw where no row of "
                     "the policy applies, which a run net cannot express",
                     element="transition '%s'" % transitions[t].name,
                     hint="give it a weight, or add a row for every marking",

@@ -19,11 +19,13 @@ from gspn_framework_package.run_net.phases import (
 from gspn_framework_package.run_net.run_net import RunNet, State
 
 _MATTERS, _NEGLIGIBLE = 1e-2, 1e-4
-"""An error below this needs no more phases, while others are larger, or at all: robots, or
-share of the longest mean time, times the difference of the coefficients of variation."""
+"""An error below the first needs no more phases while others are larger; one below the second never
+does. The error is the number of robots, or the share of the longest mean time, times the difference
+of the coefficients of variation."""
 
 _ENOUGH = 28
-"""Maximum number of phases, if they are chosen: more change little, and take long to solve."""
+"""Maximum number of phases if the package chooses it: more change little, and take long to
+solve."""
 
 
 class PhasesOfDurations:
@@ -48,7 +50,7 @@ class PhasesOfDurations:
         return max((k for _, _, k in self._many), default=1)
 
     def matches(self, most: Mapping[str, float] = MappingProxyType({})) -> List[str]:
-        """With what durations are replaced that have other phases: sentences for people.
+        """Sentences for people on the phases that replace durations.
 
         :param most: place -> the most phases of each duration there.
         """
@@ -76,15 +78,16 @@ class PhasesOfDurations:
     def states(
         self, states: Sequence[State], most: Mapping[str, float] = MappingProxyType({})
     ) -> float:
-        """How many states there would be if durations had these phases: each of ``states``, found
-        with one phase for each, as often as its robots can be spread over the phases.
+        """How many states there would be if durations had these phases: each of ``states``, which
+        were found with one phase for each duration, counts as often as its robots can be spread
+        over the phases.
 
         :param most: place -> the most phases of each duration there.
         """
         return self._spread(_distinct(self._doing(states)), most)
 
     def _spread(self, distinct: Tuple[np.ndarray, np.ndarray], most: Mapping[str, float]) -> float:
-        """The same, of the distinct rows of :meth:`_doing` and how often there is each."""
+        """The same from the distinct rows of :meth:`_doing` and how often each occurs."""
         doing, times = distinct
         total = times.astype(np.float64)
         for robots, name, (_, (*_, duration, _), _) in zip(doing.T, self._names, self._many):
@@ -110,12 +113,12 @@ class PhasesOfDurations:
         return {name: _ENOUGH for name, (_, _, k) in named if k > MOST_PHASES}
 
     def chosen(self, states: Sequence[State], shares: np.ndarray, limit: float) -> Dict[str, int]:
-        """As many phases for the durations of each place as make about ``limit`` states: equally
-        many where robots spend time that varies otherwise than that of so many phases, and then
-        more where they spend more.
+        """Choose the phases for the durations of each place so that there are about ``limit``
+        states. All durations that so many phases do not match get equally many, then those in which
+        robots spend more time get more.
 
         :param states: those with one phase for each duration.
-        :param shares: of each, the share of time; all 0: not known.
+        :param shares: the share of time in each of them; all 0 if it is not known.
         :return: place -> the most phases of each duration there.
         """
         doing = self._doing(states)
@@ -156,9 +159,9 @@ class PhasesOfDurations:
         return most
 
     def fewer(self, most: Mapping[str, float]) -> Dict[str, float]:
-        """The same with half as many phases, so that the squared variation is doubled, for the
-        durations that it does not represent exactly; empty if there are none. Those with one phase
-        vary twice as much, or as they do if that is more: more variation changes less and less."""
+        """``most`` with half as many phases, so that the squared variation is doubled, for the
+        durations that it does not represent exactly; empty if there are none. A duration with one
+        phase gets a squared variation of 4, or twice its own if that is more."""
         found: Dict[str, float] = {}
         for name, (_, (*_, duration, _), count) in zip(self._names, self._many):
             allowed = most.get(name, MOST_PHASES)
@@ -196,7 +199,7 @@ class PhasesOfDurations:
         p, attempt, _ = max(self._many, key=lambda entry: entry[2])
         return (
             "the durations take about %s states, more than the limit of %s (--limit); with fewer "
-            "phases (--phases) they take fewer, most of all that of %s (%s)"
+            "phases (--phases) they take fewer, above all the duration of %s (%s)"
         ) % (
             format(int(states), ",") if states < 1e15 else "%.1e" % states,
             format(limit, ","),
@@ -206,7 +209,7 @@ class PhasesOfDurations:
 
 
 def _distinct(rows: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-    """The distinct rows, and how often there is each."""
+    """The distinct rows, and how often each occurs."""
     found, times = np.unique(rows, axis=0, return_counts=True)
     return found, times
 

@@ -14,7 +14,7 @@ MOST_TRANSITIONS = 20_000
 """A net with more transitions is refused."""
 
 TurnStage = Tuple[int, ...]
-"""When something happens in zero time, the least first; :data:`IN_TIME`: it takes time."""
+"""The order of what happens in zero time, the smallest first; :data:`IN_TIME`: it takes time."""
 IN_TIME: TurnStage = ()
 TokenCounts = Mapping[str, int]
 """Place -> tokens."""
@@ -92,7 +92,7 @@ class StagedNet:
         return name
 
     def parts_of(self, place: str) -> TokenCounts:
-        """The places whose tokens a place has: itself, if it is no sum."""
+        """The places whose tokens a place has: itself, if it is not a sum."""
         return self.sums.get(place, {place: 1})
 
     def sum(self, wanted: str, parts: TokenCounts) -> str:
@@ -117,8 +117,7 @@ class StagedNet:
         ready: Needed = NOTHING_NEEDED,
         servers: Optional[int] = None,
     ) -> None:
-        """Add a transition with a name like ``wanted``; each token has a server, if not otherwise
-        said.
+        """Add a transition with a name like ``wanted``; unless specified, each token has a server.
 
         :raises RefusedError: there are too many.
         """

@@ -119,8 +119,8 @@ class Steps:
     # -- states ------------------------------------------------------------------------------------
 
     def expand(self, state: State) -> Tuple[bool, List[RunStep]]:
-        """Whether a state is vanishing, and its steps to states in their one form; once for each
-        state."""
+        """Whether a state is vanishing, and its steps to states in canonical form. Call it once for
+        each state."""
         if state == self.BEGIN:
             begin = self.run_net.begin
             return True, [RunStep(self._settle(first), self.ends, v) for first, v in begin]
@@ -144,7 +144,8 @@ class Steps:
     def _blocks(
         self, states: Sequence[State], of: Callable[[np.ndarray], np.ndarray]
     ) -> np.ndarray:
-        """Rows of the counts in all columns, which would take much memory at once."""
+        """Results of ``of`` for all states, block by block: the counts in all columns would take
+        much memory at once."""
         start = self.run_net.begin[0][0]
         found = []
         for first in range(0, len(states), _BLOCK):
@@ -167,7 +168,7 @@ class Steps:
         return found
 
     def _one_form(self, state: State, marking: Marking) -> Tuple[State, List[RunStep]]:
-        """The state in its one form, and its steps in zero time, if there are any."""
+        """The state in canonical form, and its steps in zero time, if there are any."""
         if self.run_net.has_ended(state, marking):
             return self._at_rest(state), []
         while True:
@@ -252,8 +253,8 @@ class Steps:
         counts: List[int],
         places: Sequence[int],
     ) -> bool:
-        """Let robots at the policy, which have drawn, draw again where the candidates are others
-        than ``before``. Returns whether any do."""
+        """Let robots at the policy, which have drawn, draw again where the candidates differ from
+        those ``before``. Returns whether any do."""
         asked = False
         ready: Optional[Tuple[Set[int], Set[int]]] = None
         for q in places:
@@ -361,8 +362,8 @@ class Steps:
             asked.columns.append(columns.asking)
 
     def _may_outlast(self, state: State, asked: _Asked) -> bool:
-        """Whether one of the requests may fire and leave draws of others, which have yet to draw,
-        as they are. Then all draw before anything fires."""
+        """Whether one of the requests may fire without resetting the draws of robots that have yet
+        to draw. Then all robots draw before anything fires."""
         at_policy = {self.run_net.columns[p].asking for p in self._deciding}
         asking = sum(state[robots.column] for robots in asked.first)
         return any(
@@ -387,7 +388,7 @@ class Steps:
         return [RunStep(tuple(counts), self.waits, v) for counts, v in found]
 
     def _arrived(self, state: State, marking: Marking) -> List[RunStep]:
-        """The steps when an attempt ends that takes no time, of any of the robots."""
+        """The steps when an attempt that takes no time ends, of any of the robots."""
         arriving = [(p, column) for column, p in self._arriving if state[column]]
         total = sum(state[column] for _, column in arriving)
         steps = []
@@ -484,7 +485,7 @@ class _Asked(NamedTuple):
 
 
 def _choices(numbers: Sequence[int], wanted: int) -> List[Tuple[Tuple[int, ...], float]]:
-    """The distribution of the members of each class among ``wanted`` random ones."""
+    """The distribution of how many of ``wanted`` members, chosen at random, are in each class."""
     if sum(numbers) == wanted:
         return [(tuple(numbers), 1.0)]
     ways = math.comb(sum(numbers), wanted)

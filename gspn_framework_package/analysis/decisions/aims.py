@@ -206,9 +206,7 @@ class Request:
             if not math.isfinite(bound):
                 raise UsageError("%g is not a bound of '%s'" % (bound, name))
         if self.at_least and objective.aim is not Aim.LONG_RUN:
-            raise UsageError(
-                "constraints on the long run need an aim of the long run", hint="give rewards"
-            )
+            raise UsageError("constraints on the long run need a long-run aim", hint="give rewards")
         if self.at_least and self.uncertain:
             raise UsageError("constraints cannot be combined with uncertain rates")
         for place in self.may_wait:

@@ -96,13 +96,13 @@ _Taken = Tuple[Tuple[str, int, bool], ...]
 """Robots that a transition takes from one place: (part, how many, whether they named it)."""
 
 NO_COLUMN = -1
-"""In place of a column: a run net has none for that."""
+"""Stands for a column where the run net has none."""
 
 _Partners = Tuple[Tuple[str, int, int], ...]
 """As :attr:`GroupMember.partners`, with names of places."""
 
 _UNDRAWN = -2
-"""In place of a column: robots that are done on arrival, by chance in one of several columns."""
+"""Stands for a column: robots that are done on arrival, in one of several columns by chance."""
 
 
 class DecisionNet:
@@ -268,13 +268,13 @@ class DecisionNet:
         return _Parts(entry, of)
 
     def _refuse_shared_clocks(self) -> None:
-        """Refuse what the rates of this net cannot say: an event comes to each robot by itself, but
-        the rate of a transition is limited by all that it takes."""
+        """Refuse what the rates of this net cannot express: an event occurs for each robot
+        separately, but the rate of a transition is limited by everything that it takes."""
         for t, p in self._events.items():
             others = [self._source.places[q].name for q, _ in self._source.inputs[t] if q != p]
             if others and self._plan.team_size > 1:
                 raise RefusedError(
-                    "it is an event that comes to each robot by itself, and also takes from %s"
+                    "it is an event that occurs for each robot separately, and also takes from %s"
                     % ", ".join(others),
                     element=self._source.transitions[t].name,
                     hint="for the computation of a policy, let the event lead to a place of its "
@@ -343,7 +343,7 @@ class DecisionNet:
             for part in self._pieces(p):
                 self._fire(Stage.TIMED, t, {p: ((part, 1, False),)})
             if not self._named(p, t) and t not in self._split[p].racing:
-                return  # no robot asks for it besides
+                return  # no robot asks for it otherwise
         if t in self._races:
             self._fire(Stage.TIMED, t, {})
             return

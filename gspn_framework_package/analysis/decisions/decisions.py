@@ -151,7 +151,7 @@ class Decisions:
                 teams.append(found)
                 decided.append(found.grouped.decided)
         policy = plan.policy
-        # where nothing is for the policy to decide, rows would only draw what cannot fire yet
+        # where the policy has nothing to decide, rows would only draw what cannot fire yet
         if self.problem.deciders and (without or not all(team.grouped.kept for team in teams)):
             policy = policy_of(plan, _joined(decided), cancel=self._cancel)
         return Solution(policy, own.value(request), own.lower, own.upper, tuple(teams), without)
@@ -301,7 +301,7 @@ class _Solver:
                 raise UsageError(
                     "its rate has no effect: the plan gives the duration, or it never fires",
                     element=name,
-                    hint="take it out of the uncertain rates, or take the nominal rates",
+                    hint="take it out of the uncertain rates, or use the nominal rates",
                 )
             factors[t] = (low / rate, high / rate)
 

@@ -47,7 +47,7 @@ accumulates such differences: if the policy is then worse than the best, a small
 tried."""
 
 _SILENT, OPEN = -1, -2
-"""Instead of the number of a transition: the robots wait; there is no preference."""
+"""Stand for the number of a transition: the robots wait; no transition is preferred."""
 
 _ROUNDS = 12
 """Largest number of rounds that improve the decisions of markings."""
@@ -515,7 +515,7 @@ class Grouping:
         chosen[(stays & asked)[self._marking]] = _SILENT
 
     def _stuck(self, chosen: Indices) -> Indices:
-        """The markings with a state in which robots would wait that must not."""
+        """The markings with a state in which robots would wait although they must not."""
         team = self._team
         speaks = np.zeros(len(team.automaton), dtype=bool)
         speaks[self._state[(chosen[self._pair] == self._transition) & (self._row >= 0)]] = True

@@ -82,7 +82,7 @@ class _Askers(NamedTuple):
     :ivar levels: the priority of their requests.
     :ivar able: the probability that a robot asks for something that can fire.
     :ivar arcs: what can fire.
-    :ivar chances: with what probability a robot that asks for any of these asks for it.
+    :ivar chances: the probability that a robot that asks for any of these asks for it.
     """
 
     states: Indices

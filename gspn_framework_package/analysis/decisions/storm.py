@@ -41,9 +41,9 @@ print(stormpy.model_checking(model, formula).get_value(model.initial_states[0]))
 
 
 def check_storm(request: Request) -> None:
-    """Check that Storm is there and knows what is asked.
+    """Check that Storm is installed and can compute what is asked.
 
-    :raises UsageError: it is not, or does not.
+    :raises UsageError: it is not, or cannot.
     """
     if find_spec("stormpy") is None:
         raise UsageError("Storm is not there", hint=how_to_install("stormpy"))

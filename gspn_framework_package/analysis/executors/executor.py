@@ -51,7 +51,7 @@ class WorkItem(NamedTuple):
 
 
 class Executor:
-    """Computes tasks, in any order. To be closed, or used as a context manager.
+    """Computes tasks, in any order. Close it after use, or use it as a context manager.
 
     :ivar name: its name on the command line.
     """

@@ -29,7 +29,7 @@ from gspn_framework_package.model.plan import Plan
 _HOURS = 24
 
 _POWER = 0.8
-"""How probably a test shows the variation that is stated with it."""
+"""The probability that a test detects the variation that is stated with it."""
 
 _MOST_VALUES = 20
 """Of a field with more values than this, no shares are learned."""
@@ -129,7 +129,7 @@ def fit_arrivals(net: Net, events: Mapping[str, EventCount]) -> ArrivalsFit:
     if changing and len(hours) < _HOURS:
         notes.append(
             "the logs have nothing from %d of 24 hours of the day (UTC): %s; nothing is known of "
-            "arrivals then, and the day that was learned is without them"
+            "arrivals then, and the learned day leaves them out"
             % (_HOURS - len(hours), _spans(set(range(_HOURS)).difference(hours)))
         )
     return ArrivalsFit(arrivals, tuple(_day(changing, hours)), tuple(notes))
@@ -223,7 +223,7 @@ def _divided(
     with the end of the last (dynamic programming)."""
     size = len(order)
     total = sum(event.firings for event in changing.values())
-    price = (len(changing) + 1) / 2 * math.log(total)  # of a rate each, and where it begins
+    price = (len(changing) + 1) / 2 * math.log(total)  # its rates, and where it begins
 
     def score(begin: int, end: int) -> float:
         gain = 0.0
@@ -301,5 +301,6 @@ def with_day(plan: Plan, fit: ArrivalsFit, logs: Sequence[str]) -> Plan:
 
 
 def _positive(fit: EventFit) -> float:
-    """The rate; where nothing was seen, a tenth of the highest that agrees with that."""
+    """The rate; where nothing was seen, a tenth of the highest rate that is compatible with
+    that."""
     return fit.rate or fit.interval[1] / 10

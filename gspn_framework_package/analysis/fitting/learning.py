@@ -62,7 +62,8 @@ _REFUTED = 0.01
 """A family is contradicted by the data if the p-value of the test of fit is below this."""
 
 WITHIN = 0.05
-"""What half of a 95 % interval may be before more log is asked for; see :func:`.needs.find_needs`.
+"""Largest half-width of a 95 % interval for which no more log is asked for; see
+:func:`.needs.find_needs`.
 """
 
 _DIFFER = {key: "the robots' " + key for key in TIME_KEYS}
@@ -134,8 +135,8 @@ class FitReport(NamedTuple):
     def needs(self, within: float = WITHIN) -> List[Need]:
         """What was not learned, or not exactly enough, and how much more log that needs.
 
-        :param within: what half of a 95 % interval may be: as a share of a mean duration or a
-            rate, or the difference of a probability.
+        :param within: the largest accepted half-width of a 95 % interval: as a share of a mean
+            duration or a rate, or the difference of a probability.
         """
         learned = self.places, self.rates, self.unseen, self.rare, self.arrivals, self.robot_seconds
         return list(find_needs(*learned, within))
@@ -304,7 +305,7 @@ class _Learning:
     def _own(
         self, learned: Mapping[str, _OfPlace], clear: float
     ) -> Dict[str, Dict[str, Dict[str, PlaceFit]]]:
-        """What robots have for themselves, as in :class:`FitReport`, where they differ with a
+        """What was learned of single robots, as in :class:`FitReport`, where they differ with a
         p-value of at most ``clear``."""
         own: Dict[str, Dict[str, Dict[str, PlaceFit]]] = {}
         team = {robot.name for robot in self.plan.robots}

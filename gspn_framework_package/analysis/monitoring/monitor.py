@@ -102,8 +102,8 @@ class Cause(NamedTuple):
     interval: Optional[Tuple[float, float]]
 
     def others(self) -> List[str]:
-        """What the alarms that it explains say, without those about the same as itself or another:
-        alarms of a place and of the team may name the same robot, by slightly other times."""
+        """The texts of the alarms that it explains, without those that repeat this one or another
+        one: alarms of a place and of the team may name the same robot, by slightly other times."""
 
         def about(alarm: Alarm) -> Tuple[str, ...]:
             return alarm.place, alarm.robot, alarm.transition, alarm.direction

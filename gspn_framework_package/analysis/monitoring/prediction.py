@@ -258,9 +258,9 @@ def draw_parameters(
 
 
 def _strata(count: int, generator: np.random.Generator) -> Iterator[_Normal]:
-    """For each of ``count`` groups, what draws its normal numbers. The n-th numbers of all groups
-    come one from each of ``count`` parts of equal probability (a Latin hypercube): so few
-    independent numbers would often leave the tails empty, and intervals would be too narrow."""
+    """For each of ``count`` groups, the function that draws its normal numbers. The n-th numbers of
+    all groups come one from each of ``count`` parts of equal probability (a Latin hypercube): so
+    few independent numbers would often leave the tails empty, and intervals would be too narrow."""
     parts: List[Sequence[int]] = []
 
     def normals(group: int) -> Iterator[float]:

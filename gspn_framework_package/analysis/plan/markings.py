@@ -321,7 +321,7 @@ class PlanMarkings:
         return {p: self._rules.requested(self.original(p)) for p in self._robots}
 
     def _certain(self, requests: Dict[int, Set[int]], timeless: List[int]) -> Booleans:
-        """The firings that a run can surely make: those that robots request, or that the policy
+        """The firings that a run can certainly make: those that robots request, or that the policy
         chooses for them, and, where something fires without time, only that.
 
         :param requests: the transitions that robots request by themselves, for each place.
@@ -406,8 +406,8 @@ class PlanMarkings:
         return self._findings(np.flatnonzero(alive))
 
     def _settle_precedence(self, arcs: Booleans) -> Booleans:
-        """Remove from the timeless ``arcs`` those that others take precedence of, as in a run: what
-        takes resources alone goes first, then higher priorities.
+        """Remove from the timeless ``arcs`` those over which others take precedence, as in a run:
+        transitions that take only resources go first, then higher priorities.
 
         :returns: the states in which every robot may have drawn what cannot fire now, so that
             nothing happens for the time being.

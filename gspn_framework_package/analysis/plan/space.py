@@ -164,7 +164,7 @@ class PlanSpace(StateSpace):
 
 
 def replaced_durations(space: StateSpace) -> List[str]:
-    """By what the durations are replaced that are not represented exactly: sentences for people."""
+    """Sentences for people on what replaces the durations that are not represented exactly."""
     return space.replaced if isinstance(space, PlanSpace) else []
 
 

@@ -125,7 +125,7 @@ class CountBox:
         return sum(w * (self.high[p] if w > 0 else self.low[p]) for p, w in terms)
 
     def allows(self, formula: Formula) -> bool:
-        """Whether the counts of single places leave it open that the formula holds. False is
+        """Whether the formula may hold according to the counts of single places. False is
         certain."""
         if isinstance(formula, Atom):
             return self.largest(formula.terms) >= formula.least
@@ -205,7 +205,7 @@ def _before(net: Net, lemma: Some, t: int) -> Some:
 
 
 def _is_kept(net: Net, lemma: Some, t: int) -> bool:
-    """Whether no inequality of the lemma loses by a firing of transition number ``t``, or one of
+    """Whether a firing of transition number ``t`` weakens no inequality of the lemma, or one of
     them holds after it because of what the transition needs."""
     before = _before(net, lemma, t)
     if all(now.least <= then.least for now, then in zip(before.parts, lemma.parts)):
@@ -356,7 +356,7 @@ def firing_in_turn(problem: Problem, names: Iterable[str]) -> Tuple[Formula, Dic
 
 def at_rest(problem: Problem, possible: Iterable[Formula], end: Sequence[int]) -> Problem:
     """The question whether a marking other than ``end`` can be reached in which nothing is in
-    progress, and nothing that is ``possible`` on a way."""
+    progress, and none of the formulas ``possible`` holds: no way can begin."""
     net = problem.net
     other = [Atom(((p, 1),), n + 1) for p, n in enumerate(end)]
     other += [Atom(((p, -1),), 1 - n) for p, n in enumerate(end) if n]
@@ -367,7 +367,7 @@ def at_rest(problem: Problem, possible: Iterable[Formula], end: Sequence[int]) -
 
 def _check_ways(problem: Problem, certificate: Any) -> str:
     """Require that every reachable marking leads to the first one. Whatever is in progress ends by
-    itself. Then one of the ``ways`` can be gone, each a list of firings, except from the ``end``.
+    itself. Then one of the ``ways``, each a list of firings, can be taken, except from the ``end``.
     From there, the firings ``back`` lead to the first marking. There are ``distances`` of places,
     so that each way makes the sum of them over all tokens smaller, and nothing that goes on makes
     it larger. ``rest`` is the certificate that nothing else is :func:`at_rest`."""
@@ -393,5 +393,5 @@ def _check_ways(problem: Problem, certificate: Any) -> str:
             raise ProofError("%s cannot fire on the way back" % name)
         marking = net.fire(marking, t)
     if marking != net.initial_marking or problem.is_bad(marking):
-        raise ProofError("the ways do not lead to where all is well")
+        raise ProofError("the ways do not lead to the first marking, or it is bad")
     return "%d ways, %s" % (len(ways), how)

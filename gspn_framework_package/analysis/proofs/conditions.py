@@ -23,7 +23,8 @@ _FINEST, _LARGEST = 1 << 16, 1 << 24
 """The numbers of conditions with which floats compute exactly: multiples of a power of 1/2."""
 
 _MOST_CASES = 64
-"""Maximum number of cases of a value: which of its minima and maxima are which of their parts."""
+"""Maximum number of cases of a value: in each, every minimum and maximum in it equals one of its
+parts."""
 
 
 def facts_of(condition: Condition) -> Tuple[Formula, ...]:
@@ -124,7 +125,7 @@ def _together(values: Sequence[Any]) -> List[Tuple[Tuple[Formula, ...], Tuple[_S
 
 
 def _one_of(parts: Sequence[Any], before: Callable[[_Sum, _Sum], Atom]) -> List[_Case]:
-    """The value that comes before all others, the first of equal ones."""
+    """The value that precedes all others, the first of equal ones."""
     found = []
     for where, sums in _together(parts):
         for k, total in enumerate(sums):

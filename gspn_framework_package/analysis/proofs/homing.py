@@ -20,11 +20,12 @@ from gspn_framework_package.model.errors import LimitError
 from gspn_framework_package.model.net import Marking
 
 STEPS = (20, 80, 320, 1_280, 5_120, 20_480)
-"""Numbers of markings of a robot that is alone that are visited from a place from which it does not
-get home in fewer."""
+"""Largest numbers of markings to visit for a single robot from one place: each number is tried if
+the robot did not get home within the one before."""
 
 STEPS_FROM_EVERYWHERE = 80
-"""How many of these are visited from all places, if no way was found from some others."""
+"""Up to this number, all places without a way home are searched; above it, only those where robots
+begin."""
 
 Ways = Dict[int, Dict[int, List[int]]]
 """Place -> the places that firings lead to from there -> their numbers."""
@@ -34,7 +35,7 @@ class Homing:
     """The search for ways home, of a problem that asks for them.
 
     :param watch: may stop the search.
-    :param prover: what searched for a proof before.
+    :param prover: the earlier search for a proof.
     """
 
     def __init__(self, problem: Problem, watch: Watch, prover: Optional[Prover] = None) -> None:

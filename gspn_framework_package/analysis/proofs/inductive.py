@@ -41,7 +41,7 @@ def search_inductive(
     """A certificate, or the names of transitions whose firings lead to where all facts hold, as z3
     says.
 
-    :param prover: what searched for a proof before.
+    :param prover: the earlier search for a proof.
     :raises LimitError: neither was found, or there is no z3.
     :raises CancelledError: the work was cancelled.
     """
@@ -79,7 +79,7 @@ def _certificate(
 def _shown(problem: Problem, watch: Watch, prover: Prover) -> Dict[str, Any]:
     found = Prover(problem, watch, prover).prove()
     if isinstance(found, Candidate):
-        raise LimitError("not decided: what z3 says of its invariant could not be shown")
+        raise LimitError("not decided: the invariant that z3 found could not be proven")
     return dict(found)
 
 

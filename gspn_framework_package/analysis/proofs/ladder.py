@@ -77,7 +77,7 @@ FIRINGS_OF_EACH = 20
 """Number of these firings for each robot, where that is more."""
 
 FIRST_SHARE = 0.2
-"""Maximum share of the time for them, where each of their markings may take long to look at."""
+"""Maximum share of the time for them, where each of their markings may take long to examine."""
 
 SHORTENING = 1.0
 """Maximum time (s) to shorten a path."""
@@ -89,7 +89,7 @@ SOON = 1.0
 """Maximum time (s) for the guided search before z3."""
 
 Z3_SHARE = 0.3
-"""The part of the time that is left then for z3, which decides soon or not at all."""
+"""The part of the remaining time for z3, which decides soon or not at all."""
 
 PROVEN, VIOLATED, NOT_DECIDED = "proven", "violated", "not decided"
 
@@ -151,7 +151,7 @@ def decide_question(
 
     :param seconds: the budget of all steps together (s).
     :param limit: the most markings to visit; 0 for no exploration.
-    :param progress: receives what is being counted, which says which step is at work.
+    :param progress: receives what is being counted, which shows the step in progress.
     :param cancel: called at intervals; returns whether to stop.
     :raises CancelledError: ``cancel`` returned true.
     :raises GspnError: see :func:`~gspn_framework_package.analysis.proofs.questions.problem_of`.
@@ -215,10 +215,10 @@ class _Ladder:
         except LimitError:
             pass  # there are too many markings to visit, but a proof may still be found
         large = len(self._problem.net.places) > PLACES_EXPLORED
-        # who looks at all that follows a marking may not get far
+        # an examination of all that follows each marking may not get far
         quick = self._problem.surely is not None
         first = 1.0 if quick else FIRST_SHARE
-        # else what follows each marking is looked at: not yet
+        # otherwise, what follows each marking is examined, but not yet
         if large and (quick or not self._problem.robots):
             answer = self._wander(first, self._first_firings())
             if answer is not None:
@@ -312,7 +312,7 @@ class _Ladder:
         return None if sequence is None else self._found("random walks", sequence)
 
     def _found(self, name: str, sequence: List[str]) -> Answer:
-        """The answer with firings that are perhaps more than are needed."""
+        """The answer with firings, perhaps more than are needed."""
         watch = self._watch.part(1.0, SHORTENING)
         return self._violated(name, shortened(self._problem, sequence, watch))
 
@@ -328,7 +328,7 @@ class _Ladder:
         )
 
     def _search(self, search: GuidedSearch, most: float = math.inf) -> Optional[Answer]:
-        # from everywhere, the candidate may be no case: leave time to explore
+        # the candidate of such a question may not be bad: leave time to explore
         share = 0.5 if self._question.kind in FROM_EVERYWHERE else 1.0
         watch = self._watch.part(share, most)
         sequence = search.go_on(watch)

@@ -53,8 +53,8 @@ class RowsOfPlaces:
                 yield Some(tuple(map(All, ways)))
 
     def bits(self, number: int) -> Tuple[int, int]:
-        """The places that a row wants empty, and those that it wants marked, as bits of their
-        numbers."""
+        """The places that a row requires to be empty, and those that it requires to be marked, as
+        bits of their numbers."""
         empty = marked = 0
         for name, cell in zip(self._policy.places, self._policy.rows[number].counts):
             if cell is None:

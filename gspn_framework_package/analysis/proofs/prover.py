@@ -91,7 +91,7 @@ class Prover:
 
     :param watch: may stop the search.
     :param other: a search that ended, about the same net and transitions: what it found out about
-        them is taken over.
+        them is reused.
     :ivar programs: the number of linear programs that were solved.
     :ivar cases: the number of cases.
     """
@@ -318,8 +318,8 @@ def _narrowed(box: CountBox, atom: Atom) -> Iterator[Tuple[int, bool, int]]:
 def _unsettled(
     formula: Formula, box: CountBox, point: Sequence[float]
 ) -> Optional[Tuple[float, int, int]]:
-    """Where to divide a box for the sake of a formula that does not hold at a point of it: the
-    number of its open parts, a place and a count. None if it holds there."""
+    """Where to divide a box to settle a formula that does not hold at a point of it: the number of
+    its open parts, a place and a count. None if it holds there."""
     if isinstance(formula, Atom):
         if sum(w * point[p] for p, w in formula.terms) >= formula.least - 1e-6:
             return None

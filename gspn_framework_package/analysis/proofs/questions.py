@@ -1,10 +1,10 @@
 """Questions about the reachable markings of a net or a plan, as facts about the markings that they
 ask for.
 
-Both who searches for a proof and who checks it ask here, so that a certificate is held against the
-net and the plan as they are. A net is asked about as GSPNs are played, with priorities. A plan is
-asked about as in its check (``docs/semantics.md``): robots in decision places are busy while others
-move, the policy decides, and robots may be lost.
+Both the search for a proof and its check ask here, so that a certificate is checked against the net
+and the plan as they are. A net is asked about as GSPNs are played, with priorities. A plan is asked
+about as in its check (``docs/semantics.md``): robots in decision places are busy while others move,
+the policy decides, and robots may be lost.
 
 Facts may hold in more markings than those that are asked for, where a condition cannot be written
 as inequalities; ``Problem.is_bad`` is always exact.
@@ -112,7 +112,7 @@ def problem_of(
 ) -> Problem:
     """The facts of a question.
 
-    :param watch: may end the look at what follows a marking, of which its ``is_bad`` asks.
+    :param watch: may stop the examination of what follows a marking, which its ``is_bad`` needs.
     :raises UsageError: there is no such question about this subject.
     :raises GspnError: the condition cannot be read, or the transition does not exist.
     :raises LimitError: the policy is too large.
@@ -237,7 +237,7 @@ class _OfPlan:
         self._robots = {
             p for p, place in enumerate(self._net.places) if place.name not in plan.resource_places
         }
-        # each transition is looked for where a token is rare
+        # each transition is listed at the place where a token is rarest
         self._from: Dict[int, List[int]] = {p: [] for p in range(-1, len(self._net.places))}
         for t, inputs in enumerate(self._net.inputs):
             start, consumers = self._net.initial_marking, self._net.consumers
@@ -403,7 +403,8 @@ class _OfPlan:
         return Atom(tuple((p, 1) for p in busy), 1)
 
     def _some_never_move(self) -> Tuple[Tuple[Formula, ...], Callable[[Marking], bool]]:
-        """A robot cannot leave its place now, and whether it cannot from then on."""
+        """The facts that some robot cannot leave its place now, and a function that says whether
+        one never can from a marking on."""
         over = self._not_over()
         is_over: Optional[Formula] = FALSE
         if self._until is not None:
@@ -444,12 +445,12 @@ class _OfPlan:
         return (*over, *ended, Some(tuple(stuck))), is_bad
 
     def _stuck(self, marking: Marking) -> bool:
-        """Whether some robot can surely never leave its place."""
+        """Whether it is certain that some robot can never leave its place."""
         left = self._firings_left.of(marking)
         return any(marking[p] and left.isdisjoint(exits) for p, exits in self._exits.items())
 
     def _stuck_in(self, p: int, marking: Marking) -> bool:
-        """Whether robots in place number ``p`` can surely never leave it."""
+        """Whether it is certain that robots in place number ``p`` can never leave it."""
         return self._firings_left.of(marking).isdisjoint(self._exits[p])
 
     @cached_property
@@ -560,8 +561,8 @@ class _OfPlan:
 
     def _needs_decision(self, p: int) -> Formula:
         """A row is needed for a robot in place number ``p``: in a strict plan, wherever one of its
-        immediate transitions is enabled; in others, where two are, or only such that no weight
-        decides on."""
+        immediate transitions is enabled; in others, where two are, or only transitions among which
+        no weight decides."""
         net = self._net
         leaving = self._leaving(p)
         enabled = [All(guard(net, t)) for t in leaving]
@@ -594,7 +595,8 @@ def _without(formula: Formula, excluded: Formula) -> Formula:
 
 
 def _is_true(formula: Formula) -> bool:
-    """Whether a formula says nothing. (Tuples of different kinds are equal if their items are.)"""
+    """Whether a formula is always true. (Tuples of different kinds are equal if their items
+    are.)"""
     if isinstance(formula, Some):
         return any(map(_is_true, formula.parts))
     return isinstance(formula, All) and not formula.parts

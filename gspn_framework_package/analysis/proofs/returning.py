@@ -184,7 +184,7 @@ def never_returns(
 
     The function raises LimitError if that takes too many markings, or too long.
 
-    :param watch: of the whole question: what was found out before needs no time.
+    :param watch: the watch of the whole question; results that are known already need no time.
     :param goal: what holds in every marking of the goal, for a proof that there is none.
     :param surely: says of some markings, quickly, that none of the goal follows.
     """
@@ -193,8 +193,8 @@ def never_returns(
     proofs = [MOST_PROOFS]
 
     def is_proven(marking: Marking, goal: Formula) -> bool:
-        """Whether a proof says that no marking that follows is one of the goal."""
-        # who checks a proof needs no solver
+        """Whether a proof shows that no marking that follows is one of the goal."""
+        # checking a proof needs no solver
         from gspn_framework_package.analysis.proofs.prover import Candidate, Prover
 
         proofs[0] -= 1

@@ -28,7 +28,7 @@ _DETOUR = 2
 """How much a firing that is not in the solution costs, in firings that are."""
 
 _LOOK_EVERY = 20
-"""Firings of a walk between two looks whether somebody is stuck."""
+"""Firings of a walk between two checks whether a robot is stuck."""
 
 _ON_THE_WAY = 0.7
 """The probability that a walk takes a firing of the solution, where it can."""
@@ -171,7 +171,7 @@ def shortened(problem: Problem, names: List[str], watch: Watch) -> List[str]:
 
 
 def _leads_to_bad(problem: Problem, marking: Marking) -> bool:
-    """Whether a marking is bad, or surely is once whatever is in progress has ended."""
+    """Whether a marking is bad, or certainly is once whatever is in progress has ended."""
     if problem.surely is not None:
         return problem.surely(marking)
     try:
@@ -196,7 +196,7 @@ def _walk_to_a_trap(
         look = is_stuck or way and len(way) % _LOOK_EVERY == 0
         if look and surely(markings[-1]):
             first, last = 0, len(way)
-            while first < last:  # once it is so, it stays so
+            while first < last:  # once it holds, it keeps holding
                 middle = (first + last) // 2
                 if surely(markings[middle]):
                     last = middle

@@ -3,7 +3,8 @@
 A formula ``EF c``, ``AG c`` or, of a net, ``AG EF c`` is first given to the ladder of proofs, which
 can decide it however many markings there are. Otherwise the states are explored, and a formula that
 those left unexplored could change is not decided. Probabilities come from the Markov chain. Their
-interval also holds what :mod:`~gspn_framework_package.analysis.intervals` says of a plan.
+interval also takes into account what :mod:`~gspn_framework_package.analysis.intervals` says of a
+plan.
 
 >>> from gspn_framework_package.model.builder import NetBuilder
 >>> net = (NetBuilder("machine").place("up", tokens=1).place("down")
@@ -50,8 +51,8 @@ class QueryAnswer(NamedTuple):
 
     :ivar query: as written.
     :ivar value: the probability or share of time, if one was asked for.
-    :ivar interval: its bounds: the value, less and plus the error of its computation, and what
-        ``interval_sources`` says, in words for people.
+    :ivar interval: its bounds: the value, minus and plus the error of its computation, and the
+        error from what ``interval_sources`` says, in words for people.
     :ivar holds: the answer to a query with yes or no; None if it is not decided.
     :ivar decided_by: what decided it: ``exploration``, a step of the ladder of proofs, or
         ``Markov chain``.
@@ -226,7 +227,7 @@ class _Work:
             )
         if found.verdict == VIOLATED:
             way = ", ".join(found.sequence or ())
-            why = "robots that take their time to decide come there by %s" % way
+            why = "robots that take time to decide reach it by %s" % way
             return undecided._replace(undecided=why)
         return undecided
 

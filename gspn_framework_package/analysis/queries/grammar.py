@@ -78,7 +78,7 @@ class PathFormula(NamedTuple):
 
     @property
     def over(self) -> str:
-        """The condition that decides whether a path is such, where it first holds."""
+        """The condition that decides, where it first holds, whether a path has the property."""
         if self.operator == "G":
             return "not (%s)" % self.goal.text
         if self.stay is None:
@@ -87,7 +87,7 @@ class PathFormula(NamedTuple):
 
 
 class Branching(NamedTuple):
-    """Whether ``every`` path, or else some path, is such."""
+    """Whether ``every`` path, or else some path, has the property."""
 
     every: bool
     path: PathFormula
@@ -205,7 +205,7 @@ class _QueryParser(ConditionParser):
         return found
 
     def atom(self) -> Any:
-        """Read what a condition has, or a formula with E or A."""
+        """Read an operand of a condition, or a formula with E or A."""
         word = self._word_here()
         if self._is_quantity():
             self.fail("%s is answered only as the whole query, not inside of another," % word)

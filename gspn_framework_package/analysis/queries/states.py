@@ -87,7 +87,7 @@ class StateSets:
         return known_where(condition, Columns(self._space.store), len(self._space), labels)
 
     def branching(self, formula: Branching) -> Known:
-        """The states from which some path, or every path, is as the formula says."""
+        """The states from which some path, or every path, satisfies the formula."""
         path = formula.path
         goal = self.holding(path.goal)
         everywhere = Known(*2 * (np.ones(len(self._space), dtype=bool),))
@@ -96,12 +96,12 @@ class StateSets:
             return self._always(goal) if path.operator == "G" else self._until(stay, goal)
         if path.operator == "G":
             return self._until(everywhere, goal.opposite()).opposite()
-        # a path is not such if it never comes to the goal, or if it leaves ``stay`` before
+        # a path does not have the property if it never reaches the goal, or leaves ``stay`` before
         missed, left = goal.opposite(), goal.opposite().both(stay.opposite())
         return self._always(missed).any(self._until(missed, left)).opposite()
 
     def _until(self, stay: Known, goal: Known) -> Known:
-        """Some path stays until it comes to the goal."""
+        """Some path stays until it reaches the goal."""
         may_go_on = goal.may | (self._unexplored & stay.may)
         return Known(self._back(stay.must, goal.must), self._back(stay.may, may_go_on))
 
@@ -113,13 +113,13 @@ class StateSets:
         )
 
     def _for_ever(self, stay: Booleans, ends: Booleans) -> Booleans:
-        """The states from which a path within ``stay`` comes to a cycle or to one of ``ends``."""
+        """The states from which a path within ``stay`` reaches a cycle or one of ``ends``."""
         within = stay[self._sources] & stay[self._targets]
         sources, targets = self._sources[within], self._targets[within]
         around = on_a_cycle(len(self._space), sources, targets)
         return self._back(stay, stay & (around | ends))
 
     def _back(self, stay: Booleans, goal: Booleans) -> Booleans:
-        """The states from which a path within ``stay`` comes to ``goal``."""
+        """The states from which a path within ``stay`` reaches ``goal``."""
         arcs = stay[self._sources]
         return can_reach(len(self._space), self._sources[arcs], self._targets[arcs], goal)

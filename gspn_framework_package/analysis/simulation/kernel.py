@@ -43,7 +43,7 @@ STOPPED = 4
 STUCK = 5
 """Nothing will ever happen again, and the window has no end."""
 TIMELESS = 6
-"""Firings without time between them, and no end of it."""
+"""Endless firings without time between them."""
 GROW = 7
 """A count outgrew its row of ``spent``."""
 LOSS = 10

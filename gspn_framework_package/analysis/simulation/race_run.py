@@ -56,7 +56,7 @@ class RaceRun(KernelRun):
             names = [self.net.transitions[t].name for t in self.net.enabled(self.marking)]
             raise RefusedError(
                 "no weights decide between %s" % ", ".join(names),
-                hint="give them weights, or take a plan with a policy",
+                hint="give them weights, or use a plan with a policy",
             )
         return status
 

@@ -228,7 +228,8 @@ class _Atom:
 
 
 def _is_simple(lowering: Set[int], raising: Set[int]) -> bool:
-    """Whether the atoms that change an index can be dropped, or are two that can be merged."""
+    """Whether the atoms that change an index can be dropped, or there are just two, which can be
+    merged."""
     return not lowering or not raising or len(lowering) == len(raising) == 1
 
 
@@ -269,8 +270,9 @@ class _Elimination:
         self.rows = [self._atoms[number] for number in sorted(self._atoms)]
 
     def _kept_of(self, columns: _Columns) -> Booleans:
-        """Boolean array: the columns that remain after dropping those that change an index which
-        all change in the same direction. It ends when few are dropped at a time.
+        """Boolean array: the columns that remain after dropping, again and again, all columns that
+        change an index if they all change it in the same direction. This ends when few are dropped
+        at a time.
 
         :raises LimitError: so many remain, with nothing to merge, that combining them exceeds the
             limit.

@@ -75,7 +75,7 @@ class StepArrays(NamedTuple):
 # registers
 NODES, USED, DEPTH, HEIGHT, RESULT, WORK, FORGOTTEN = range(7)
 """Numbers of nodes, of children, of frames, of values on the second stack; the last result; the
-elementary operations so far; the number of stored results that others took the place of."""
+elementary operations so far; the number of stored results that others have replaced."""
 REGISTERS = 7
 
 # frames

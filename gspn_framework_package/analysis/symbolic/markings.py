@@ -38,7 +38,7 @@ _ORDERS = 10
 """Largest number of orders to try."""
 
 _SLICE = {False: 10_000, True: 1_000_000}
-"""Operations between two looks at the clock, plain and compiled: a tenth of a second."""
+"""Operations between two checks of the clock, plain and compiled: a tenth of a second."""
 
 
 _ROWS_AT_ONCE, _ROWS_EACH = 20_000, 16
@@ -180,7 +180,7 @@ def _race(
     watch: Watch,
     most: Optional[int] = None,
 ) -> Optional[_Diagram]:
-    """The diagram that is complete first; None if none is after ``most`` operations in all.
+    """The first diagram that is complete; None if none is after ``most`` operations in total.
 
     Each round has twice as many diagrams as the last, and gives each twice as many operations.
     """

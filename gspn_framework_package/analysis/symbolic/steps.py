@@ -25,7 +25,7 @@ _MOST_ROWS = 1_000_000
 
 _MOST_CASES = 30_000
 """Largest number of sets of transitions that may still be enabled at some level: with more, the
-priorities do not fit the order of the places, and it would be tried in vain for long."""
+priorities do not fit the order of the places, and a long attempt would fail."""
 
 Range = Tuple[int, int]
 _Gone = FrozenSet[int]
@@ -121,8 +121,8 @@ class StepTable:
         self._known: Dict[Tuple[int, int, bool, StepRows], int] = {}
         self._steps: List[Tuple[int, int, bool, StepRows]] = [(0, 0, False, ())]
         self._rows = 0  # of the steps so far
-        self._rows_before = 0  # of those before the one that is being made
-        self._rows_allowed = 0  # most of them when it is made
+        self._rows_before = 0  # of the steps before the one being made
+        self._rows_allowed = 0  # largest allowed number of them once it is made
         self._top: List[Set[Tuple[int, int, int, int]]] = [set() for _ in range(levels + 1)]
 
     def fire_from(self, step: int) -> None:

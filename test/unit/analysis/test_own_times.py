@@ -132,7 +132,7 @@ def test_what_does_not_fit_is_an_error_that_names_it(
 
 def test_an_outcome_that_the_team_never_has_is_refused() -> None:
     always = {"Load": {"probabilities": {"loaded": 1}}}
-    with pytest.raises(PlanError, match="that the team has not"):
+    with pytest.raises(PlanError, match="that the team lacks"):
         plan_from_json(differing(outcomes=always))
 
 

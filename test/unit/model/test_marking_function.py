@@ -110,7 +110,7 @@ def test_a_value_that_is_not_above_0_names_transition_marking_and_expression():
 def test_a_place_that_the_net_does_not_have():
     with pytest.raises(NetError, match="'go': there is no place 'c', which its rate '#c' names"):
         net_with("#c")
-    with pytest.raises(NetError, match="names the place 'b', which is taken out"):
+    with pytest.raises(NetError, match="names the place 'b', which is removed"):
         net_with("1 + #b").without_places(["b"])
     assert net_with("1 + #b").with_rates({"go": 2}).functions.keys() == {1}
 

@@ -73,8 +73,8 @@ def settle(
     values: Floats,
 ) -> bool:
     """Set the values of the vanishing states from those of the tangible ones, block by block in
-    ``order``; a cyclic block until nothing changes by more than ``tolerance``. ``chosen``: the row
-    of each state, or empty for the best. Returns whether all blocks settled."""
+    ``order``; a cyclic block is repeated until nothing changes by more than ``tolerance``.
+    ``chosen``: the row of each state, or empty for the best. Returns whether all blocks settled."""
     settled = True
     free = len(chosen) == 0
     for block in range(len(cyclic)):

@@ -90,7 +90,7 @@ def test_patterns_stand_for_names_of_the_net():
         (
             Request(Objective.time_to("b == 1"), at_least=(AtLeast("a", 1),)),
             UsageError,
-            "need an aim of the long run",
+            "need a long-run aim",
         ),
     ],
 )
