@@ -66,7 +66,7 @@ if TYPE_CHECKING:
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-class ActionFailed(Exception):  # noqa: N818  # what it says, not a fault of the program
+class ActionFailed(Exception):  # noqa: N818  # a failed action, not an error of the program
     """Raised by an action that does not succeed; the operator sees its text."""
 
 

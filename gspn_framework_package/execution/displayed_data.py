@@ -96,13 +96,12 @@ def displayed_tasks(state: TeamState, rules: Rules) -> Dict[str, Any]:
 
     :returns: ``tasks``: for each its ``id``, ``where`` it is (in words), the ``transition``,
         ``place`` or ``robot`` there (the others are ""), ``to`` (the only robot that may take it,
-        or what such robots can; "" for any), ``trouble`` ("" if somebody works on it or
-        will), ``priority``, ``attempts`` (how often a robot took it) and ``since`` (seconds since
-        1970; None if not known) and ``until`` (when it is late if it still waits; None for never),
-        ``at`` (when it comes in; None if it has) and ``every`` (seconds after which another one
-        comes in; None if none does).
-        ``ended``: for each its ``id``, ``outcome`` and ``why``, the last
-        one last.
+        or a capability that such a robot has; "" for any), ``trouble`` ("" if somebody works on it
+        or will), ``priority``, ``attempts`` (how often a robot took it) and ``since`` (seconds
+        since 1970; None if not known) and ``until`` (when it is late if it still waits; None for
+        never), ``at`` (when it comes in; None if it has) and ``every`` (seconds after which another
+        one comes in; None if none does).
+        ``ended``: for each its ``id``, ``outcome`` and ``why``, the last one last.
     """
     tasks, net = [], rules.net
     present = [robot.name for robot in state.active()]
@@ -132,10 +131,10 @@ def displayed_tasks(state: TeamState, rules: Rules) -> Dict[str, Any]:
 
 
 def _trouble(robot: Optional[RobotState], waits_for: str) -> str:
-    """Why nobody goes on with a task, or will; "" if somebody does.
+    """Why no robot works on a task, or will; "" if one does.
 
     :param robot: the robot that has it; None if it waits.
-    :param waits_for: who alone may take it, and is not there; "" if somebody is.
+    :param waits_for: the only robots that may take it, if none of them is there; otherwise "".
     """
     if robot is None and waits_for:
         return "only %s may take it, which is gone: cancel it, or submit another" % waits_for
@@ -144,7 +143,7 @@ def _trouble(robot: Optional[RobotState], waits_for: str) -> str:
     if robot.phase.gone:
         return "%s is %s: submit the task again, or cancel it" % (
             robot.name,
-            "lost" if robot.phase is Phase.LOST else "not in the team any more",
+            "lost" if robot.phase is Phase.LOST else "no longer in the team",
         )
     if robot.phase is Phase.FAILED:
         return "its action failed (%s)" % robot.why

@@ -2,7 +2,7 @@
 
 This applies only to plans with ``environment: simulate``; otherwise the operator fires these
 transitions, and tasks come from their sources. The clock, transitions that fire in certain hours of
-the day, goes in any case (:func:`next_of_clock`).
+the day, always runs (:func:`next_of_clock`).
 """
 
 from __future__ import annotations

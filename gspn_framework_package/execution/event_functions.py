@@ -280,7 +280,7 @@ class _Watcher:
             self._host.fault(self._robot, "%s failed: %s" % (self.what, text))
 
 
-class _FunctionFailed(Exception):  # noqa: N818  # what it says
+class _FunctionFailed(Exception):  # noqa: N818  # a failed function, not an error of the program
     """The function of an event failed."""
 
 

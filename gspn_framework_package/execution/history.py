@@ -248,8 +248,8 @@ class _Reader:
         self._arrivals += [(0.0, log_entries.to_json(log_entries.Pause(name))) for name in paused]
 
     def _tasks_that_wait(self, state: TeamState) -> None:
-        """Let the tasks that wait at the beginning arrive then, through the transition that leads
-        to their queue."""
+        """Have the tasks that wait at the beginning arrive at time 0, through the transition that
+        leads to their queue."""
         net = self._plan.net
         leads = {p: t for t in self._submissions for p, _ in net.outputs[t]}
         for found in state.tasks():

@@ -29,14 +29,15 @@ _STEPS_WITHOUT_TIME = 10_000
 """Number of steps at one moment that counts as a plan running endlessly without time."""
 
 _TRIES = 200
-"""How often a time longer than a known one is drawn before that is added to a drawn one."""
+"""Number of attempts to draw a time longer than a known one; after them, a drawn time is added to
+the known one."""
 
 _MOMENT = 1e-6
 """The resolution of the clocks in a log (s)."""
 
 
 class PlanNames(NamedTuple):
-    """How the names of the recorded plan are called in the plan that is played.
+    """The names of the recorded plan's places and transitions in the plan that is played.
 
     :ivar mapping: name of a place or transition -> its new name, where they differ.
     :ivar places: action place of the new plan -> the recorded one that has the same action.

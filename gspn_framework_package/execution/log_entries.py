@@ -148,8 +148,8 @@ class TaskDue(NamedTuple):
 
 
 class CancelTask(NamedTuple):
-    """The task with this ``id`` is not to be done. If it waits, it is taken out; if a robot carries
-    it, its action is cancelled, and the plan says where the robot goes
+    """The task with this ``id`` is cancelled. If it waits, it is taken out; if a robot carries it,
+    its action is cancelled, and the plan says where the robot goes
     (:attr:`~gspn_framework_package.model.event.Tasks.on_cancel`). ``late``: robots cancel it, if it
     still waits, because its time is over."""
 
@@ -464,7 +464,7 @@ def new_task_id(source: str) -> str:
 
 
 def task_id(task: Any) -> str:
-    """The id of a task, given as text or a whole number. :raises DataError: it is no id."""
+    """The id of a task, given as text or a whole number. :raises DataError: it is not an id."""
     if isinstance(task, bool) or not isinstance(task, (str, int)):
         raise DataError("the id of a task is text or a whole number, not %.100r" % (task,))
     if len(str(task)) > ID_LIMIT:

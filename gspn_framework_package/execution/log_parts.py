@@ -84,7 +84,7 @@ class LogPart:
 
 
 def log_parts(log: Union[str, LogPart]) -> List[LogPart]:
-    """The parts of a log, in their order; one that is a part already is its only one.
+    """The parts of a log, in their order; a log that is already a part is its own only part.
 
     :param log: its path.
     :raises LogError: the log cannot be read, or holds what cannot be played again.

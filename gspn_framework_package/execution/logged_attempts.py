@@ -121,7 +121,7 @@ def gather(
 
 
 def _of_the_net(parts: Sequence[LogPart], plan: Optional[Plan], notes: List[str]) -> List[LogPart]:
-    """The parts that are of the net of ``plan``, or of that of the last part of the first log.
+    """The parts whose net is that of ``plan``, or of the last part of the first log.
 
     :raises LogError: a log has none.
     """
@@ -226,7 +226,7 @@ def _read_run(
     if late:
         partial = plan.synchronisation is Synchronisation.PARTIAL
         notes.append(
-            "the own logs of %s are not here: %s"
+            "the logs of %s are missing: %s"
             % (
                 ", ".join(sorted(late)),
                 "in partial synchronisation, the logs of others do not show when its actions end, "

@@ -12,8 +12,8 @@ from gspn_framework_package.model.event import BY_PRIORITY
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.model.plan_timing import POLICY, unnamed
 
-RUNS_ON = "paused, but its action runs on"
-"""Why a robot does not move whose action a pause lets go on."""
+RUNS_ON = "paused, but its action continues"
+"""Why a robot does not move whose action continues in a pause."""
 
 
 class Rules:
@@ -89,7 +89,8 @@ class Rules:
     def is_for(self, to: str, robot: str) -> bool:
         """Whether a task is for a robot.
 
-        :param to: the only robot that may take it, or what such robots can; "" for any.
+        :param to: the only robot that may take it, or a capability that such a robot has; "" for
+            any.
         :param robot: the name of a robot; "" for several together.
         """
         return to in ("", robot) or to in self.capabilities.get(robot, ())

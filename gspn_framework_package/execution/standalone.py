@@ -85,7 +85,7 @@ from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan
 
 _LOOK_AT_CLOCK = 1.0
-"""Seconds after which a run looks again at the time of day, which may be set."""
+"""Seconds after which a run reads the time of day again, since the clock may have been set."""
 
 
 class Listener:

@@ -74,7 +74,7 @@ class TaskTurn(Turn):
         if len(there) == 1:
             self._cancel_task(there[0], "replaced by %s; " % entry.id)
             return True
-        why = "it was to replace %s, which was not there" % entry.replaces
+        why = "it was to replace %s, which was not found" % entry.replaces
         self._end_task(Task(entry.id), TASK_CANCELLED, why)
         return False
 
@@ -87,7 +87,7 @@ class TaskTurn(Turn):
         waiting.insert(at, (t, task))
 
     def _task_due(self, entry: log_entries.TaskDue) -> None:
-        """Let a task come in whose time has come, or another one like it."""
+        """Submit a task whose time has come, or another one like it."""
         there = self.state.tasks_with(entry.id)
         if len(there) != 1 or there[0].before is None or there[0].task.at != entry.at:
             return
@@ -182,7 +182,7 @@ class TaskTurn(Turn):
             self._wait_outside(found.before, task)
 
     def _goes_on_without(self, robot: RobotState, why: str) -> None:
-        """Have a robot go on that has lost its task, as the plan says; where the plan says nothing,
+        """Have a robot that has lost its task continue as the plan says; if the plan says nothing,
         it waits for the operator."""
         if robot.phase is Phase.INACTIVE:
             return

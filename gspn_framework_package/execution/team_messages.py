@@ -131,7 +131,7 @@ def robot_fields(
 
 
 def activity_fields(activity: Mapping[str, Any]) -> MessageFields:
-    """The activity of a robot, according to the report ``activity`` of its own."""
+    """The activity of a robot, according to its own report ``activity``."""
     fields = {name: activity[name] for name in _SAME}
     state = activity["state"]
     return {**fields, "state": ROBOT_STATES.index(state), "state_name": state}

@@ -286,7 +286,7 @@ class TeamState:
         if there:
             return ""
         if ended is not None:
-            return "the team has task '%s' no more: %s" % (task_id, ended.text)
+            return "the team no longer has task '%s': %s" % (task_id, ended.text)
         return "the team has no task '%s'" % task_id
 
     def end_task(self, task: Task, outcome: str, why: str) -> None:

@@ -268,7 +268,7 @@ class Ingest:
         if known is not None and known != record.get("hash"):
             raise LogError(
                 "slot %d differs from that in another log of run '%s'" % (slot, run["run"]),
-                hint="run 'gspn verify' with both logs for details; two runs of one name need "
+                hint="run 'gspn verify' with both logs for details; two runs with one name need "
                 "separate stores if they began alike",
             )
         return False

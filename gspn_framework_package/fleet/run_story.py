@@ -30,7 +30,7 @@ from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
 
 SHORTEST = 0.05
-"""Seconds; a robot that moves on sooner is not said to have waited."""
+"""Seconds; a shorter stop does not count as a wait."""
 
 _FAILURES_NAMED = 3
 """Largest number of failures named as the reason of one wait."""
@@ -49,9 +49,9 @@ class Waited(NamedTuple):
     """A robot waited in ``place`` from ``begin`` to ``end`` (seconds since the run began).
 
     ``needs`` is what it waited for, as it said when it began. ``transition`` ended the wait in
-    ``slot``, "" if the wait went on when the log ended. ``awaited`` is the robot whose doing made
-    the transition possible, "" if no other robot's did; ``because`` says what it did
-    ("it" is that robot), and ``delays`` what kept it until then.
+    ``slot``, "" if the wait went on when the log ended. ``awaited`` is the other robot that made
+    the transition possible, "" if none did; ``because`` says what it did ("it" is that robot), and
+    ``delays`` what kept it until then.
     """
 
     robot: str
@@ -251,7 +251,7 @@ class _StoryFollower(StayFollower):
         """Robot and visit -> the robot that it waited for in the end."""
 
     def waits(self) -> List[Waited]:
-        """All waits, those included that have not ended."""
+        """All waits, including those that have not ended."""
         last = (spells[-1] for spells in self.spells.values() if spells)
         going_on = [spell for spell in last if spell.use == USE_WAITING and spell.end == self.now]
         slot = self.next_slot - 1
@@ -298,8 +298,8 @@ class _StoryFollower(StayFollower):
         self._new = []
 
     def _entry_behind(self, step: Replayed, spell: Spell) -> Optional[log_entries.Entry]:
-        """The entry of the slot that let the robot go on: one whose robot moved along, or took part
-        in an earlier firing of the slot that changed what the transition needs."""
+        """The entry of the slot that let the robot continue: one whose robot moved along, or took
+        part in an earlier firing of the slot that changed what the transition needs."""
         at = next(
             (
                 i

@@ -196,13 +196,13 @@ class StayFollower:
     # -- for subclasses ----------------------------------------------------------------------------
 
     def began(self, robot: RobotState, use: str, step: Replayed) -> None:
-        """A robot spends its time otherwise from this slot on: with ``use`` of :data:`USES`."""
+        """From this slot on, a robot spends its time on ``use``, one of :data:`USES`."""
 
     def spent(self, spell: Spell) -> None:
         """Add a robot's time; called before :meth:`followed` of the same slot."""
 
     def followed(self, step: Replayed) -> None:
-        """All of a slot has been looked at."""
+        """The whole slot has been processed."""
 
     # -- time --------------------------------------------------------------------------------------
 

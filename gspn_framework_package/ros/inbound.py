@@ -110,7 +110,7 @@ class InboundMessages:
     ) -> Tuple[OperatorRequest, Operator]:
         """Read an operator's order or question, and its sender.
 
-        :raises RefusedError: this robot does not take it.
+        :raises RefusedError: this robot does not accept it.
         """
         who = _named("", connection)
         if request.command != SEALED:

@@ -1,4 +1,4 @@
-"""The fault ``network`` of the simulated world: what other robots say reaches a robot late."""
+"""The fault ``network`` of the simulated world: the messages of other robots reach a robot late."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from std_msgs.msg import String
 
 
 class SlowNetwork:
-    """Has a robot's messages wait as long as the world says on ``/world/faults``.
+    """Delays a robot's messages for as long as the world says on ``/world/faults``.
 
     :param robot: the robot that receives the messages.
 

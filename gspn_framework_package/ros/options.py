@@ -129,7 +129,7 @@ class NodeOptions(NamedTuple):
                 print(
                     "the team's key is in %s, which only you can read; the page and gspn on this "
                     "machine find it (key:=none: no key)" % path,
-                    flush=True,  # the process that forks the robots is no node, and has no log
+                    flush=True,  # the process that forks the robots is not a node, and has no log
                 )
             return path
         if self.team_key_file == NONE:

@@ -37,7 +37,7 @@ class SealedOrders:
 
     :param key: the key of the team; None: that which the team made for its run on this machine, if
         there is one.
-    :param program: what gives the orders, said beside the name; "": the person alone.
+    :param program: what gives the orders, which is recorded beside the name; "": the person alone.
     """
 
     def __init__(self, key: Optional[TeamKey] = None, program: str = "") -> None:

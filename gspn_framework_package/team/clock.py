@@ -20,7 +20,7 @@ class Clock:
         return time.monotonic()
 
     def stands(self) -> str:
-        """That simulated time does not pass, in words; "" if it does."""
+        """A sentence if simulated time stands still; "" if it passes."""
         return ""
 
     def look_at(self, due: float, now: float) -> float:

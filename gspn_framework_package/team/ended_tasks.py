@@ -1,4 +1,4 @@
-"""Notices of tasks that ended: who follows a team hears of each once, and may pass them to a web
+"""Notices of tasks that ended: a follower of a team receives each once, and may pass them to a web
 address."""
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class EndedTasks:
     def news(self, ended: Sequence[TaskNotice]) -> List[TaskNotice]:
         """The tasks that ended since the last call; none at the first.
 
-        :param ended: those that the team remembers, the last one last; it forgets the first ones.
+        :param ended: those that the team remembers, the newest last; it forgets the oldest.
         """
         known, self._known = self._known, list(ended)
         if known is None:
@@ -81,10 +81,10 @@ class WebHook:
     def post(self, notice: TaskNotice) -> None:
         """Post a notice.
 
-        :raises ExecutionError: the host is private and not listed, or does not take it.
+        :raises ExecutionError: the host is private and not listed, or does not accept it.
         """
         try:
-            # the address that was looked at is the one that is called
+            # connect to the address that was checked
             connection = http.client.HTTPConnection(self._host, self._port, timeout=HOOK_SECONDS)
             connection.sock = self._connected()
             try:

@@ -588,7 +588,7 @@ class ReplicaHost:
         """The breakpoints of the robot, for people.
 
         :param names: the places and transitions to set, None to leave them as they are.
-        :raises GspnError: they are not of the plan, or cannot be kept in the file.
+        :raises GspnError: they are not in the plan, or cannot be kept in the file.
         """
         if names is not None:
             found = Breakpoints.of_names(names, self.plan)

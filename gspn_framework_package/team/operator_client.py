@@ -17,7 +17,7 @@ from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
 from gspn_framework_package.team.orders import ADOPT_TIME, ORDERS
 
 CLIENT_TIME = ADOPT_TIME + SILENCE_PATIENCE
-"""Seconds after which no answer to a client can come any more."""
+"""Seconds after which a client receives no more answers."""
 
 
 class UnreachableError(ExecutionError):
@@ -25,8 +25,8 @@ class UnreachableError(ExecutionError):
 
 
 class RobotLine(Protocol):
-    """Asks robots; an answer has a time limit, and one robot does not delay another. An address is
-    where a robot is reached."""
+    """Sends requests to robots. Each answer has a time limit, and a slow robot does not delay the
+    others. A request goes to the address of a robot."""
 
     def call(
         self,
@@ -37,7 +37,7 @@ class RobotLine(Protocol):
     ) -> bool:
         """Ask the robot at an address; return whether an answer may come.
 
-        :param robot: its name; a question may go without.
+        :param robot: its name; may be "" for a question.
         :param answered: called with the answer on any thread, at most once; with None when none can
             come.
         :raises UnreachableError: nobody can be asked.
@@ -54,10 +54,10 @@ class RobotLine(Protocol):
         """An address in words."""
 
     def silence(self, address: str) -> ExecutionError:
-        """The error that a robot does not answer an order."""
+        """The error for a robot that does not answer an order."""
 
     def close(self) -> None:
-        """Wait for no more answers."""
+        """Stop waiting for answers."""
 
 
 def ask_robots(
@@ -95,7 +95,7 @@ class OperatorClient:
         self.line = line
 
     def close(self) -> None:
-        """Wait for no more answers."""
+        """Stop waiting for answers."""
         self.line.close()
 
     def statuses(self, data: bool = False) -> Dict[str, Optional[Dict[str, Any]]]:

@@ -23,7 +23,7 @@ class FieldKind(enum.Enum):
     PLACE = "place"
     TRANSITION = "transition"
     ENTRANCE = "entrance"
-    """A transition by which tasks come in."""
+    """A transition through which tasks enter."""
     TEXT = "text"
     ID = "id"
     NUMBER = "number"
@@ -32,9 +32,9 @@ class FieldKind(enum.Enum):
     TIME = "time"
     """A time of day, in seconds since 1970."""
     SPAN = "span"
-    """A time that passes, in whole seconds."""
+    """A duration, in whole seconds."""
     FLAG = "flag"
-    """Yes or no; its name stands for yes."""
+    """Yes or no; on a command line, its name means yes."""
 
 
 _TYPES: Dict[FieldKind, Tuple[Tuple[type, ...], str]] = {
@@ -53,7 +53,8 @@ _UNITS = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 
 
 def span_of(text: str) -> Optional[int]:
-    """The seconds in a text such as ``90s``, ``10m``, ``2h`` or ``1d``; None if it is none."""
+    """The seconds in a text such as ``90s``, ``10m``, ``2h`` or ``1d``; None if the text is not a
+    duration."""
     if text[:-1].isdecimal() and text[-1] in _UNITS and len(text) <= LONGEST_NUMBER:
         return int(text[:-1]) * _UNITS[text[-1]]
     return None
@@ -65,7 +66,7 @@ def seconds_of(text: str, now: Optional[float] = None) -> int:
 
     :param now: seconds since 1970; None for the present time.
     :returns: seconds since 1970.
-    :raises DataError: it is no time.
+    :raises DataError: it is not a time.
     """
     now = time.time() if now is None else now
     span = span_of(text[1:]) if text.startswith("+") else None

@@ -104,14 +104,14 @@ class OrderKind(NamedTuple):
         :param given: field -> its value.
         :param source: where the order comes from.
         :param plan: has to have the places and transitions; None if it is not known.
-        :raises GspnError: a field is missing, or cannot be taken.
+        :raises GspnError: a field is missing, or its value is refused.
         """
         return {f.name: f.value(given.get(f.name), source, plan) for f in self.fields}
 
     def checked(
         self, given: Mapping[str, Any], source: str, plan: Optional[Plan] = None
     ) -> Dict[str, Any]:
-        """As :meth:`values`, of which the log entry has been tried, too."""
+        """As :meth:`values`, but also check that they make a log entry."""
         values = self.values(given, source, plan)
         if self.entry is not None:
             self.entry(**values)
@@ -200,7 +200,7 @@ ORDERS: Dict[str, OrderKind] = {
         example="",
     ),
     "pause": OrderKind(
-        "stop all firing until resume, or the firings of one robot; actions run on",
+        "stop all firing until resume, or the firings of one robot; actions continue",
         (
             ROBOT_OR_TEAM,
             OrderField(
@@ -367,8 +367,8 @@ ORDERS: Dict[str, OrderKind] = {
             OrderField(
                 "every",
                 FieldKind.SPAN,
-                "after each so much time, one like it comes in, as ID-1, ID-2 and so on: 90s, 10m, "
-                "2h, 1d; it begins at --at, and ends when ID is cancelled, or late",
+                "submit one like it at this interval, as ID-1, ID-2 and so on: 90s, 10m, "
+                "2h, 1d; this begins at --at, and ends when ID is cancelled or late",
                 required=False,
                 default=0,
                 label="And again every",
@@ -404,7 +404,7 @@ ORDERS: Dict[str, OrderKind] = {
         example="",
     ),
     "cancel": OrderKind(
-        "cancel a task: it is not to be done, or not any further",
+        "cancel a task: no robot begins it, or continues it",
         (TASK_FIELD,),
         lambda id: log_entries.CancelTask(log_entries.task_id(id)),
         example="o12",
@@ -414,7 +414,7 @@ ORDERS: Dict[str, OrderKind] = {
         form=Form(
             "task",
             "Cancel",
-            "It is not to be done. The action of a robot that has it is cancelled",
+            "No robot will do it. The action of a robot that has it is cancelled",
             "Cancel task {id}",
             title="Cancel task {id}?",
             text="If a robot has it, its action is cancelled, and the plan says where it goes.",

@@ -11,7 +11,8 @@ from gspn_framework_package.team.log_file import log_path
 from gspn_framework_package.team.seal import TeamKey, make_team_key, read_team_key
 
 AUTO, NONE = "auto", "none"
-"""Instead of the path of a key: the key of the run, made if it is missing; no key."""
+"""Given instead of the path of a key: use the key of the run, which is created if it is missing;
+use no key."""
 
 
 def run_key_file(run: str) -> str:
@@ -49,7 +50,7 @@ def make_run_key(run: str) -> Tuple[str, bool]:
 
 def find_run_key(run: str) -> Optional[TeamKey]:
     """The key of a run on this machine, if this user may read it."""
-    if os.path.basename(run) != run:  # a robot said it, who may be anybody
+    if os.path.basename(run) != run:  # the name comes from a robot, which may be anybody
         return None
     try:
         return read_team_key(run_key_file(run))

@@ -289,7 +289,7 @@ class Scenario:
 
     @property
     def ended(self) -> Optional[Ended]:
-        """How the run ended; None while it goes on."""
+        """How the run ended; None while it continues."""
         return self._run.result
 
     @property

@@ -8,7 +8,7 @@ from typing import Optional
 from gspn_framework_package.execution.actions import Cancellation
 
 LONGEST = 30 * 24 * 3600.0
-"""A function of the plan that waits for longer than this (s) is taken for one that never ends."""
+"""A function of the plan that waits for longer than this (s) counts as one that never ends."""
 
 CALLS_AT_ONCE = 100_000
 """The same for one that asks so often whether it should end, without waiting."""
@@ -19,7 +19,7 @@ class NeverEnds(BaseException):
 
 
 class VirtualWait(Cancellation):
-    """The ``is_cancelled`` of a function whose time is virtual: to wait takes no time.
+    """The ``is_cancelled`` of a function whose time is virtual: waiting takes no time.
 
     :ivar seconds: for how long the function has waited.
     """
@@ -31,7 +31,7 @@ class VirtualWait(Cancellation):
         self.seconds = 0.0
 
     def __call__(self) -> bool:
-        """Never, for no event cuts the function off. :raises NeverEnds: it asks for ever."""
+        """Return False: no event cuts the function off. :raises NeverEnds: it asks for ever."""
         self._calls += 1
         if self._calls > CALLS_AT_ONCE:
             raise NeverEnds

@@ -76,8 +76,8 @@ class Electorate:
 
     def may_decide(self, voters: Collection[str], by_all: bool = False) -> bool:
         """Whether these members may decide the open slot: a quorum; or, if the members that are not
-        asserted to be off are no quorum, *all* of those. Any quorum that does not consist only of
-        robots asserted to be off contains one of them, so its votes are known.
+        asserted to be off are not a quorum, *all* of those. Any quorum that does not consist only
+        of robots asserted to be off contains one of them, so its votes are known.
 
         :param by_all: some of them do not remember all their votes, so a quorum is not enough.
         """
@@ -128,7 +128,7 @@ class Electorate:
         return state.peers.near(self.members(), self.config.name, seconds, state.now)
 
     def is_first_running(self) -> bool:
-        """Whether we are the first member that seems to be running, which proposes what any member
+        """Whether we are the first member that seems to be running: it proposes what any member
         could."""
         return self.heard_within(3 * self.config.pace.heartbeat)[:1] == [self.config.name]
 

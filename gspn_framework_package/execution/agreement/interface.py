@@ -107,7 +107,7 @@ class TaskCame(NamedTuple):
 
 class TimeOfDay(NamedTuple):
     """The time of day, in seconds since 1970, for tasks that come in at a time, or wait no longer
-    than until then, and for the clock of a plan. To be given now and then while there are any."""
+    than until then, and for the clock of a plan. Give it at intervals while there are any."""
 
     seconds: int
 

@@ -26,7 +26,7 @@ from gspn_framework_package.execution.team_tasks import TASK_CANCELLED
 from gspn_framework_package.execution.token_game import Step
 
 PARTING = (log_entries.SetPlace, log_entries.Leave, log_entries.Evict, log_entries.Stop)
-"""The orders by which a robot may part with its task; the answer says what becomes of it."""
+"""The orders that may take a task from its robot; the answer says what becomes of it."""
 
 
 class ProposalQueue:

@@ -207,8 +207,8 @@ class Reactions(ReplicaPart):
             self.outbox.order_result(order, taken, text if taken else where)
 
     def look_at_times(self, seconds: int) -> None:
-        """Propose that tasks whose time has come come in, that those whose time is over be
-        cancelled, and that the clock go on, if that is up to us.
+        """If that is up to us, propose to submit the tasks whose time has come, to cancel those
+        whose time is over, and to advance the clock.
 
         :param seconds: the time of day, in seconds since 1970.
         """

@@ -40,7 +40,7 @@ class LoggedTask:
         self.data: Dict[str, Any] = dict(data or {})
         self.priority = priority
         self.robot = robot
-        """The only robot that may take it, or what such robots can; "" for any."""
+        """The only robot that may take it, or a capability that such a robot has; "" for any."""
         self.at, self.every = times
         self.until = until
         self.came = 0
@@ -327,7 +327,8 @@ class Cargo:
         return [move for move in moves if move[0]]
 
     def _may_have(self, task: LoggedTask, robot: str) -> bool:
-        """Whether a task is for everybody, for this robot, or for robots that can what it can."""
+        """Whether a task is for everybody, for this robot, or for robots with a capability that it
+        has."""
         return task.robot in ("", robot, *self._able.get(robot, ()))
 
     def _first_for(self, movers: Sequence[str], place: str) -> LoggedTask:

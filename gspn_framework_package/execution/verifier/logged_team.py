@@ -315,7 +315,7 @@ class LoggedTeam:
                 robot.attempt += 1
 
     def _cancel(self, task_id: str) -> None:
-        """A task is not to be done; its robot continues without it as the plan says."""
+        """A task is cancelled; its robot continues without it as the plan says."""
         kind, where = self.cargo.find(task_id)
         if not kind:
             return

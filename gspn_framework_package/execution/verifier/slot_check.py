@@ -462,7 +462,7 @@ def _short(marking: Mapping[str, int]) -> str:
 
 
 def _passes(count: int, sign: str, tokens: int) -> bool:
-    """Whether a place with ``count`` tokens is as a cell asks."""
+    """Whether ``count`` tokens in a place fit a cell."""
     if sign == "!=":
         return count != tokens
     if count == tokens:

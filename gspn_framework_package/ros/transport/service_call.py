@@ -21,7 +21,7 @@ RESPONSE_LIMIT = 1_000_000_000
 """Maximum size of a response, in bytes."""
 
 
-class ServiceFailed(Exception):  # noqa: N818  # what it says, not a fault of the program
+class ServiceFailed(Exception):  # noqa: N818  # a failed call, not an error of the program
     """A call failed; ``outcome`` is REJECTED, ABORTED or SERVER_DIED."""
 
     def __init__(self, outcome: Outcome, text: str) -> None:

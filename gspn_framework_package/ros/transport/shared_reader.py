@@ -149,7 +149,7 @@ class _Reader:
         self.hold = 0.0
         try:
             watched.receive()
-        except Exception:  # rospy meets the same error again
+        except Exception:  # rospy gets the same error again
             self._unwatch(number, watched)
             _give_back(watched)
             return

@@ -45,7 +45,7 @@ def test_a_pause_lets_actions_go_on() -> None:
     run.feed(Pause(), Resume())
     assert commands(run) == []
     run.feed(Pause())
-    assert "runs on" in run.game.why_waiting(run.state, run.state.robots["a"])
+    assert "its action continues" in run.game.why_waiting(run.state, run.state.robots["a"])
     run.feed(Pause(stop=True))
     assert commands(run) == [("cancel", "a"), ("cancel", "b")]
     assert "starts again on resume" in run.game.why_waiting(run.state, run.state.robots["a"])

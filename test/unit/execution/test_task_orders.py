@@ -447,7 +447,7 @@ def test_an_operator_hears_what_became_of_a_task(partial: bool) -> None:
     assert given.ok and given.text == "it was cancelled (with r1 in Deliver)"
     given = result(world, "r1", log_entries.CancelTask("t2"))
     assert not given.ok
-    assert given.text == "the team has task 't2' no more: it was cancelled (with r1 in Deliver)"
+    assert given.text == "the team no longer has task 't2': it was cancelled (with r1 in Deliver)"
     assert result(world, "r1", log_entries.CancelTask("t9")).text == "the team has no task 't9'"
     given = result(world, "r1", log_entries.Submit("order", "t2"))
     assert not given.ok
