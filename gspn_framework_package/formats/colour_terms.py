@@ -349,7 +349,7 @@ class ColourTerms:
             self.wrong(element, "its colours are of another sort")
 
     def structure(self, element: etree._Element, label: str) -> Optional[etree._Element]:
-        """What the label of an element has in its ``structure``; None if there is no label."""
+        """The content of the ``structure`` of an element's label; None if there is no label."""
         outer = child(element, label)
         if outer is None:
             return None

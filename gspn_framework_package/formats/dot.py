@@ -358,7 +358,7 @@ def render(text: str, image: str = "svg", timeout: float = 60.0) -> bytes:
     except FileNotFoundError:
         raise UsageError(
             "Graphviz, which draws pictures, is not installed",
-            hint="apt install graphviz; DOT text needs none",
+            hint="apt install graphviz; DOT text does not need it",
         ) from None
     except subprocess.TimeoutExpired:
         raise LimitError(

@@ -38,7 +38,7 @@ class ExplicitChain(NamedTuple):
             if label in ("init", "deadlock") or identifiers([label])[0][label] != label:
                 raise NetError(
                     "a label cannot be called '%s'" % label,
-                    hint="letters, digits and _ make a label",
+                    hint="a label consists of letters, digits and _",
                 )
         return {"init": [self.initial], "deadlock": dead, **self.labels}
 

@@ -223,7 +223,7 @@ class _Reader:
                 "arcs of type '%s' are not known" % shorten(kind),
                 what,
                 line,
-                "normal and inhibitor arcs are",
+                "normal and inhibitor arcs are read",
             )
         weight = self._tokens(label(element, "inscription", "value"), 1, "weight", what, line)
         if weight == 0 and kind == "inhibitor":  # PIPE 5: no weight, one token inhibits

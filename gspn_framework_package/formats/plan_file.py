@@ -126,7 +126,7 @@ def _refuse_net(path: str) -> None:
 
 
 def file_of(path: str) -> str:
-    """Return the plan file in a folder; the path itself if it is no folder.
+    """Return the plan file in a folder; the path itself if it is not a folder.
 
     :raises PlanError: there is none in the folder.
     """

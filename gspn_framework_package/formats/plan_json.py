@@ -204,7 +204,7 @@ def plan_from_json(
 
 
 LEARNED = (*TIME_KEYS, "rates", "own_times")
-"""The keys whose entries may say ``of`` what they were learned."""
+"""The keys whose entries may say in ``of`` what they were learned from."""
 
 
 def _times(data: Dict[str, Any], within: str = "") -> Dict[str, Any]:

@@ -169,7 +169,7 @@ class _Reader:
             self.draft.fail(
                 "nets of the type '%s' are not known" % shorten(kind),
                 line=line_of(self.net),
-                hint="place/transition nets are: %s" % _NET_TYPE,
+                hint="place/transition nets are read: %s" % _NET_TYPE,
             )
         vocabulary.check_attributes(self.net, _NET, name_of(self.net, "net"), self.draft.fail)
         self._nodes(self.net, _NET)
@@ -425,7 +425,7 @@ class _Reader:
                 "arcs of type '%s' are not known" % shorten(kind),
                 what,
                 line,
-                "normal and inhibitor arcs are",
+                "normal and inhibitor arcs are read",
             )
         text = label(element, "inscription", "text")
         weight = self.draft.count(text, "weight", what, line) if text else 1

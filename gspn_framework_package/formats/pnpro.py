@@ -345,7 +345,7 @@ class _Reader:
                 "arcs of kind '%s' are not known" % shorten(kind),
                 what,
                 line,
-                "INPUT, OUTPUT and INHIBITOR arcs are",
+                "INPUT, OUTPUT and INHIBITOR arcs are read",
             )
         text = (element.get("mult") or element.get("multiplicity") or "").strip()
         if text.startswith("<"):

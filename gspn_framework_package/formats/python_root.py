@@ -64,10 +64,10 @@ def load_root(
     folder = os.path.dirname(os.path.abspath(path))
     spec = importlib.util.spec_from_file_location(module, path)
     if spec is None or spec.loader is None:
-        raise RootError("it is no file of Python")
+        raise RootError("it is not a Python file")
     loaded = sys.modules[module] = importlib.util.module_from_spec(spec)
     with _failures_of(path), _watched(lines):
-        if folder not in sys.path:  # once the libraries are there: it may have a logging.py
+        if folder not in sys.path:  # after the imports: it may have a logging.py
             sys.path.insert(0, folder)
         spec.loader.exec_module(loaded)
         name = wanted or _usual_name(vars(loaded))
@@ -103,7 +103,7 @@ def _usual_name(names: Dict[str, Any]) -> str:
 
 
 def library_of(node: Any) -> Optional[str]:
-    """Return the library of a node, ``py_trees`` or ``smach``; None if it is no node."""
+    """Return the library of a node, ``py_trees`` or ``smach``; None if it is not a node."""
     for name, module, base in (("py_trees", "behaviour", "Behaviour"), ("smach", "state", "State")):
         library = sys.modules.get("%s.%s" % (name, module))
         if library is not None and isinstance(node, getattr(library, base)):
@@ -113,7 +113,7 @@ def library_of(node: Any) -> Optional[str]:
 
 @contextlib.contextmanager
 def _failures_of(path: str) -> Iterator[None]:
-    """Say in one line why a file of others fails, and where."""
+    """Say in one line why a user's file fails, and where."""
     try:
         yield
     except RootError:
@@ -129,7 +129,8 @@ def _failures_of(path: str) -> Iterator[None]:
                 where = (frame.filename, frame.lineno or 0)
         if isinstance(error, ModuleNotFoundError):
             raise RootError(
-                "it needs the Python library '%s', which %s has not" % (error.name, sys.executable),
+                "it needs the Python library '%s', which %s does not have"
+                % (error.name, sys.executable),
                 where,
             ) from error
         raise RootError("it fails: %s: %s" % (type(error).__name__, error), where) from error
@@ -179,13 +180,13 @@ def _watched(lines: Optional[Dict[int, _Line]]) -> Iterator[None]:
             lambda make: recording(make, always=lines is not None),
         )
         replace(smach_ros.IntrospectionServer, "start", lambda _: lambda *_: None)
-        # the robot's node is there already, and the reader needs no more than a time
+        # the robot's node exists already, and the reader only needs a time
         replace(
             rospy,
             "init_node",
             lambda _: lambda *_, **__: rospy.rostime.set_rostime_initialized(True),
         )
-    words, sys.argv = sys.argv, sys.argv[:1]  # those of this program are not for the file
+    words, sys.argv = sys.argv, sys.argv[:1]  # the arguments of this program are not for the file
     try:
         yield
     finally:
@@ -264,7 +265,7 @@ def main(words: List[str]) -> None:
     with open(out, "w", encoding="utf-8") as file:
         json.dump(found, file)
     sys.stdout.flush()
-    os._exit(0)  # threads that the file has started do not hold it back
+    os._exit(0)  # do not wait for threads that the file has started
 
 
 if __name__ == "__main__":

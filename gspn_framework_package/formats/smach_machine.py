@@ -1,4 +1,4 @@
-"""Describes a state machine of SMACH, and runs its states one by one, as the plan of it says.
+"""Describes a state machine of SMACH, and runs its states one by one, as its plan says.
 
 SMACH itself is not imported here: the file that makes the machine has done so.
 """
@@ -34,7 +34,7 @@ _NEEDS_USERDATA = (
 
 
 def why_one_action(state: Any) -> str:
-    """Why a container is one action, with all that is in it; "" if it is not, or no container."""
+    """Why a container is one action, with everything in it; "" if it is not, or is no container."""
     smach = importlib.import_module("smach")
     if not isinstance(state, smach.container.Container):
         return ""

@@ -170,7 +170,7 @@ def _without_illustrations(policy: Policy, net: Net, notes: List[str]) -> Policy
                 )
             )
         else:
-            left_out.append("and so the row, of which nothing is left")
+            left_out.append("and so the row, which has no other choice")
         notes.append("policy row %d: left out %s" % (number, "; ".join(left_out)))
     return Policy(policy.places, rows)
 

@@ -97,7 +97,7 @@ class _Reader:
         if keyword not in ("net", "tr", "pl"):
             self._fail(
                 "a line that begins with '%s'" % shorten(keyword, 20),
-                "net, pl, tr, lb and nt are known",
+                "lines begin with net, pl, tr, lb or nt",
             )
         self.words = list(reversed(self._split(rest)))
         if keyword == "net":

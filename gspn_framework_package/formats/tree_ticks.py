@@ -99,7 +99,7 @@ class TreeSteps:
         def noted() -> Iterator[Any]:
             yield _Due(path)
             for each in tick():
-                self.result = node.status.name  # now: what is above may not ask for more
+                self.result = node.status.name  # now: the parent may stop asking
                 yield each
 
         node.tick = noted
@@ -233,7 +233,7 @@ def _plain(value: Any) -> Any:
 def explore(root: Any) -> List[Dict[str, Any]]:
     """Return the states in which a leaf's tick comes next, the first one first: the ``path`` of the
     leaf, and ``leads``: outcome (``SUCCESS``, ``FAILURE``, ``RUNNING``) -> number of the next
-    state, or how the tree ends. The tree is of no use afterwards.
+    state, or how the tree ends. The tree cannot be used afterwards.
 
     :raises NoLeafError: it can run on without a leaf, or there are too many states.
     """
@@ -272,7 +272,7 @@ def explore(root: Any) -> List[Dict[str, Any]]:
 
 
 def _merged(states: List[Dict[str, Any]]) -> List[Dict[str, Any]]:
-    """Make one of the states from which the tree does the same, whatever the outcomes."""
+    """Merge the states from which the tree does the same, whatever the outcomes."""
     group = [0] * len(states)  # of each state
     known = 0
     while True:

@@ -85,7 +85,7 @@ def check_element(element: etree._Element, vocabulary: Element, what: str, fail:
     text = element.text
     if text and not vocabulary.text and text.strip():
         fail(
-            "the text '%s' must not stand directly in <%s>" % (shorten(text), tag(element)),
+            "the text '%s' must not be directly in <%s>" % (shorten(text), tag(element)),
             what,
             line_of(element),
             _words("expected ", vocabulary.children),
@@ -95,7 +95,7 @@ def check_element(element: etree._Element, vocabulary: Element, what: str, fail:
         tail = node.tail
         if tail and tail.strip():
             fail(
-                "the text '%s' must not stand directly in <%s>" % (shorten(tail), tag(element)),
+                "the text '%s' must not be directly in <%s>" % (shorten(tail), tag(element)),
                 what,
                 line_of(node),
                 "put the text into a separate element",

@@ -42,7 +42,7 @@ ON_SUCCESS, ON_FAILURE = " succeeds", " fails"
 """The suffixes that turn the name of a leaf's place into those of its transitions."""
 
 _DEEPEST = 200
-"""Maximum depth of a tree; subtrees that contain themselves have none."""
+"""Maximum depth of a tree; a subtree that contains itself would exceed any."""
 
 WHY_NOT = {
     "Parallel": "a robot does one thing at a time",
@@ -51,18 +51,18 @@ WHY_NOT = {
     "ReactiveFallback": "its first children are checked again while a later one runs",
     "WhileDoElse": "its condition is checked again while another child runs",
     "SequenceWithMemory": "it remembers where it failed",
-    "AsyncSequence": "it gives way between its children",
-    "AsyncFallback": "it gives way between its children",
-    "Switch2": "it looks at the blackboard",
-    "Switch3": "it looks at the blackboard",
-    "Switch4": "it looks at the blackboard",
-    "Switch5": "it looks at the blackboard",
-    "Switch6": "it looks at the blackboard",
+    "AsyncSequence": "it yields between its children",
+    "AsyncFallback": "it yields between its children",
+    "Switch2": "it reads the blackboard",
+    "Switch3": "it reads the blackboard",
+    "Switch4": "it reads the blackboard",
+    "Switch5": "it reads the blackboard",
+    "Switch6": "it reads the blackboard",
     "ManualSelector": "a person chooses",
     "RunOnce": "it remembers that it ran",
     "Script": "it writes to the blackboard",
-    "ScriptCondition": "it looks at the blackboard",
-    "Precondition": "it looks at the blackboard",
+    "ScriptCondition": "it reads the blackboard",
+    "Precondition": "it reads the blackboard",
     "SetBlackboard": "it writes to the blackboard",
     "UnsetBlackboard": "it writes to the blackboard",
     "LoopBool": "it takes turns from a queue",
@@ -70,14 +70,14 @@ WHY_NOT = {
     "LoopInt": "it takes turns from a queue",
     "LoopString": "it takes turns from a queue",
     "TryCatch": "it runs a child when it is cancelled",
-    "EntryUpdated": "it looks at the blackboard",
-    "WaitValueUpdate": "it looks at the blackboard",
-    "SkipUnlessUpdated": "it looks at the blackboard",
+    "EntryUpdated": "it reads the blackboard",
+    "WaitValueUpdate": "it reads the blackboard",
+    "SkipUnlessUpdated": "it reads the blackboard",
 }
 """Nodes of BehaviorTree.CPP that a plan cannot express -> why."""
 
 _SCRIPTS = re.compile(r"_(skipIf|successIf|failureIf|while|on\w+|post)$")
-"""Attributes with scripts, which look at the blackboard."""
+"""Attributes with scripts, which read the blackboard."""
 
 _OF_THE_NODE = ("ID", "name")
 
@@ -102,7 +102,7 @@ def import_tree(path: str, robots: int = 1, tree: Optional[str] = None) -> Impor
 class _Import:
     def __init__(self, root: etree._Element, tree: Optional[str]) -> None:
         if tag(root) != "root" or not all_of(root, "BehaviorTree"):
-            raise InputError("this is no file of BehaviorTree.CPP: it has no <BehaviorTree>")
+            raise InputError("this is not a file of BehaviorTree.CPP: it has no <BehaviorTree>")
         if root.get("BTCPP_format") != "4":
             raise InputError(
                 'it does not say BTCPP_format="4"',
@@ -156,7 +156,7 @@ class _Import:
                 found[node] = _function_name(node, found.values())
         return found
 
-    # -- nodes: each gets where to go after its success and its failure, and returns its beginning
+    # -- nodes: each takes the targets of its success and its failure, and returns where it begins
 
     def _node(self, element: etree._Element, success: Target, failure: Target) -> Target:
         kind = _kind(element)
@@ -164,7 +164,7 @@ class _Import:
             raise _refused(element, WHY_NOT[kind])
         for name in element.attrib:
             if _SCRIPTS.match(str(name)):
-                raise _refused(element, "the script of %s looks at the blackboard" % str(name))
+                raise _refused(element, "the script of %s reads the blackboard" % str(name))
         self._depth += 1
         self._count += 1
         if self._count > MOST_TREE_NODES:
@@ -176,7 +176,7 @@ class _Import:
             begins = make(self, element, success, failure)
         elif len(element):
             raise _refused(
-                element, "it is no node of BehaviorTree.CPP, and only leaves can be your own"
+                element, "BehaviorTree.CPP has no such node, and only leaves can be your own"
             )
         else:
             begins = self._action(element, kind, success, failure)
@@ -270,7 +270,8 @@ class _Import:
         return begins
 
     def _ports_of(self, element: etree._Element) -> Dict[str, str]:
-        """The ports of a node; what those of the subtree around it say is put in."""
+        """The ports of a node; values that the ports of the subtree around it give are filled
+        in."""
         found = {}
         for key, value in element.attrib.items():
             name, text = str(key), str(value)

@@ -19,7 +19,7 @@ MOST_LEAVES = 5_000
 """Maximum number of places; repetitions and subtrees multiply."""
 
 MOST_TREE_NODES = 100_000
-"""Maximum number of nodes, with those that run no action."""
+"""Maximum number of nodes, including those that run no action."""
 
 
 class Target:
@@ -88,10 +88,10 @@ class ImportedPlan(NamedTuple):
 
 
 def name_places(leaves: Sequence[Leaf], ends: Sequence[str]) -> None:
-    """Name the places as the leaves, with a number where several have one name."""
+    """Name the places after the leaves, with a number where several have the same name."""
     taken = set(ends)
     for leaf in leaves:
-        wanted = " ".join(leaf.wanted.split())  # names of others may have line breaks
+        wanted = " ".join(leaf.wanted.split())  # names from other tools may contain line breaks
         name, number = wanted, 1
         while name in taken:
             number += 1
@@ -114,14 +114,14 @@ def plan_of_leaves(
     :param leaves: in the order of the places.
     :param begins: leads to the first leaf.
     :param ends: the places in which a robot ends.
-    :raises InputError: no leaf is run at first, or the tree repeats for ever what runs none.
+    :raises InputError: no leaf comes first, or the tree repeats for ever a part that runs none.
     """
     name_places(leaves, ends)
     start = begins.place()
     if start in ("", *ends):
         raise InputError(
             "the %s begins with no action" % description,
-            hint="a robot starts in an action: put one before what ends at once",
+            hint="a robot starts in an action: put one before the node that ends at once",
         )
     net = NetBuilder(name)
     for leaf in leaves:
@@ -132,7 +132,7 @@ def plan_of_leaves(
         for word, target in leaf.outcomes.items():
             if not target.place():
                 raise InputError(
-                    "after '%s' it repeats for ever what runs no action" % leaf.place,
+                    "after '%s' it repeats for ever a part that runs no action" % leaf.place,
                     file=leaf.file,
                     line=leaf.line,
                 )

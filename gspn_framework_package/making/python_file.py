@@ -25,7 +25,7 @@ LONGEST_READING = 60.0
 """Time limit for a file to build its tree or machine (s)."""
 
 ORIGINAL = "original"
-"""The folder in a plan's folder with the file that it was made of, and with what that imports."""
+"""The folder within a plan's folder for the file that it was made from and what that imports."""
 
 _READER = "gspn_framework_package.formats.python_root"
 
@@ -64,7 +64,7 @@ def import_python(
 
 
 def plan_of_found(path: str, found: Mapping[str, Any], robots: int) -> ImportedPlan:
-    """Make a plan of what a file makes.
+    """Make a plan of the tree or machine that a file makes.
 
     :param found: what :func:`~gspn_framework_package.formats.python_root.describe_file` returns.
     :raises InputError: a plan cannot express it.

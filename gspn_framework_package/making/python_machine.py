@@ -20,7 +20,7 @@ from gspn_framework_package.model.errors import InputError
 from gspn_framework_package.model.outcome import Outcome
 
 _SEPARATOR = ": "
-"""Between the place of a state and its outcome, in the name of a transition."""
+"""Separates the place of a state from its outcome in the name of a transition."""
 
 _State = Mapping[str, Any]
 _Path = Tuple[str, ...]
@@ -32,7 +32,7 @@ def plan_of_machine(file: str, name: str, root: _State, robots: int) -> Imported
     """Make a plan of a machine.
 
     :param file: the name of the file that makes it.
-    :param name: the function of it that does, or the variable.
+    :param name: the function in it that makes the machine, or the variable that holds it.
     :param root: the machine, as :mod:`gspn_framework_package.formats.smach_machine` describes it.
     :raises InputError: a plan cannot express it.
     """
@@ -55,7 +55,7 @@ def plan_of_machine(file: str, name: str, root: _State, robots: int) -> Imported
     notes = made.notes
     if made.keys:
         notes.append(
-            "userdata stays in each robot's own machine, and is no data of the plan: %s"
+            "userdata stays in each robot's own machine, and is not data of the plan: %s"
             % ", ".join(sorted(made.keys))
         )
     says = "actions.py executes the states of original/%s" % file
@@ -109,7 +109,7 @@ class _Machine:
         return begin(state["initial"])
 
     def _iterator(self, state: _State, path: _Path, leads: _Exit) -> Target:
-        """Unfold an Iterator: its state is there once for each item."""
+        """Unfold an Iterator: its state occurs once for each item."""
         begun: Dict[int, Target] = {}
         ((label, inner),) = state["states"].items()
 
@@ -131,7 +131,7 @@ class _Machine:
 
     def _end(self, state: _State, path: _Path, outcome: str, leads: _Exit) -> Target:
         if outcome not in state["outcomes"]:
-            why = "it can end with '%s', which is none of its outcomes" % outcome
+            why = "it can end with '%s', which is not one of its outcomes" % outcome
             raise _refused(state, path, why)
         return leads(outcome)
 
@@ -139,7 +139,7 @@ class _Machine:
         if len(self.leaves) >= MOST_LEAVES:
             raise _refused(state, path, "the machine has more than %d states" % MOST_LEAVES)
         if state["why"]:
-            self._note(state, path, "it is one action, with all that is in it: " + state["why"])
+            self._note(state, path, "it is one action, with everything in it: " + state["why"])
         if not state["outcomes"]:
             raise _refused(state, path, "it has no outcome")
         called, outcomes = state["action"], {each: each for each in state["outcomes"]}

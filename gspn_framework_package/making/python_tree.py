@@ -42,22 +42,22 @@ WHY_ONE_ACTION = {
     "Parallel": "its children run at the same time",
     "RunningIsFailure": "it ends while its child runs",
     "RunningIsSuccess": "it ends while its child runs",
-    "Timeout": "its time is that of all that is below it",
+    "Timeout": "its time limit is for everything below it",
     "EternalGuard": "its condition is checked at each tick",
     "OneShot": "it remembers that it ran",
     "Count": "it counts ticks",
     "StatusToBlackboard": "it writes the status of its child at each tick",
     "ForEach": "it takes items from the blackboard",
-    "Condition": "it waits for its child to be running",
+    "Condition": "it waits until its child is running",
 }
-"""Nodes that are one action, with all that is below them -> why."""
+"""Nodes that are one action, with everything below them -> why."""
 
 
 def plan_of_tree(file: str, name: str, root: _Node, robots: int) -> ImportedPlan:
     """Make a plan of a tree.
 
     :param file: the name of the file that makes it.
-    :param name: the function of it that does, or the variable.
+    :param name: the function in it that makes the tree, or the variable that holds it.
     :param root: its root, as :mod:`gspn_framework_package.formats.python_root` describes it.
     :raises InputError: a plan cannot express it.
     """
@@ -186,7 +186,7 @@ class _Tree:
             )
         if node["children"]:
             self.whole = why or "what it does is not known"
-            note = "%s:%s: %s is one action, with all that is below it: %s" % (
+            note = "%s:%s: %s is one action, with everything below it: %s" % (
                 file,
                 line,
                 describe(node),

@@ -17,7 +17,7 @@ class MapNode(NamedTuple):
     :ivar restriction: which robots may be there; None for all.
     :ivar capacity: how many robots may be there, if the map specifies it.
     :ivar said: the node's data in the map, for the words in goals.
-    :ivar slots: poses (x, y, yaw) where robots stand that are there together (m, rad).
+    :ivar slots: poses (x, y, yaw) for robots that are there together (m, rad).
     """
 
     name: str
@@ -32,8 +32,8 @@ class MapNode(NamedTuple):
     slots: Sequence[Tuple[float, float, float]] = ()
 
     def has_room_for_two(self, diameter: float) -> bool:
-        """Whether two robots of a diameter (m) can be there, by the corners of its area (``verts``)
-        and its ``xy_goal_tolerance``; where the map gives neither, they cannot."""
+        """Whether two robots of a diameter (m) fit there, by the corners of its area (``verts``)
+        and its ``xy_goal_tolerance``; if the map gives neither, they do not."""
         node = self.said.get("node", {})
         corners = node.get("verts")
         points = [
@@ -116,7 +116,7 @@ class SiteMap(NamedTuple):
     def node(self, name: Any) -> str:
         """Return the node of that name.
 
-        :raises InputError: the map has none; without a file.
+        :raises InputError: the map has none; the error names no file.
         """
         if str(name) not in self.nodes:
             raise InputError(
@@ -128,7 +128,7 @@ class SiteMap(NamedTuple):
     def edge(self, name: Any) -> Tuple[str, str]:
         """Return the edge named ``A_B``, or ``A -> B`` if several edges have that name.
 
-        :raises InputError: the map has none, or several; without a file.
+        :raises InputError: the map has none, or several; the error names no file.
         """
         pairs = [(edge.source, edge.target) for edge in self.edges]
         found = [pair for pair in pairs if str(name) in ("_".join(pair), " -> ".join(pair))]

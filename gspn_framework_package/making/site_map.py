@@ -246,7 +246,7 @@ class _Reader:
         if driving.holds() is None:
             self._while_driving[driving.text] = self._while_driving.get(driving.text, 0) + 1
         old = element.get("restrictions")
-        if isinstance(old, dict):  # of the first maps of this form
+        if isinstance(old, dict):  # an early version of the format
             given = [(prefix, old.get(key)) for prefix, key in _OLD_RESTRICTIONS]
             words = ["%s_%s" % pair for pair in given if pair[1] and isinstance(pair[1], str)]
             planning = Restriction(" & ".join([*words, planning.text or "True"]))

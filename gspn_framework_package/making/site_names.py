@@ -10,7 +10,7 @@ from gspn_framework_package.making.site_tasks import SiteTasks
 from gspn_framework_package.model.errors import InputError
 
 _KEPT_WORDS = ("node", "dock", "group", "door")
-"""Words after ``Free_``, which a node may be called as well."""
+"""Words that follow ``Free_``; a node may have one as its name."""
 
 
 def named(*parts: str) -> str:
@@ -19,8 +19,8 @@ def named(*parts: str) -> str:
 
 
 def with_clear_names(site: SiteMap, tasks: SiteTasks) -> Tuple[SiteMap, SiteTasks, List[str]]:
-    """Return the map and the tasks with names of nodes that are clear in the names of the plan's
-    elements, and a note on the changed ones; unchanged if they are clear as they are.
+    """Return the map and the tasks with nodes renamed so that the names of the plan's elements are
+    unambiguous, and a note on the changed ones; unchanged if they are already unambiguous.
 
     :raises InputError: the name of a task is that of something else in the plan.
     """
@@ -44,7 +44,7 @@ def with_clear_names(site: SiteMap, tasks: SiteTasks) -> Tuple[SiteMap, SiteTask
         )
     changed = ["%s is %s" % pair for pair in new.items() if pair[0] != pair[1]]
     more = " and %d more" % (len(changed) - 8) if len(changed) > 8 else ""
-    note = "names of nodes are changed in the plan, where A_B could be two things: %s%s"
+    note = "names of nodes are changed in the plan, where A_B would be ambiguous: %s%s"
     return site, tasks, [note % (", ".join(changed[:8]), more)]
 
 

@@ -212,7 +212,7 @@ class _Builder:
         if self._single and tasks.diameter is not None:
             self._team.notes.append(
                 "one robot at a time, because two of %g m have no room there: %s ('nodes' and "
-                "'node_capacity' say otherwise)" % (tasks.diameter, some_names(self._single))
+                "'node_capacity' change that)" % (tasks.diameter, some_names(self._single))
             )
         for name, group in tasks.groups.items():
             found["Free_group_" + name] = group
@@ -242,8 +242,8 @@ class _Builder:
         return found
 
     def _capacity_by_size(self, node: str) -> Optional[int]:
-        """How many robots a node holds for which nothing says it: a dock as many as can charge
-        there, others one if two have no room."""
+        """How many robots a node holds if neither the map nor the tasks say so: a dock as many as
+        can charge there, another node one if two have no room."""
         if self._tasks.diameter is None:
             return None
         if node in self._team.docks:
@@ -412,8 +412,8 @@ class _Builder:
         outputs: Sequence[str],
         along: Sequence[Point],
     ) -> None:
-        """Have a robot on an edge open a door, or close it: with the place and the transition
-        ``along`` the edge."""
+        """Have a robot on an edge open a door, or close it: add the place and the transition at the
+        points ``along`` the edge."""
         place, done = named(word, *parts), named(_DONE[word], *parts)
         self._act(place, action.seconds, action.action, 0, along[0])
         self._given(place, held)

@@ -27,7 +27,7 @@ class SiteTeam:
 
     :param path: its file, for errors.
     :param all_edges: keep what the policy does not use.
-    :raises InputError: they cannot do what they are to do there.
+    :raises InputError: the robots cannot do there what the tasks ask for.
     """
 
     def __init__(self, site: SiteMap, tasks: SiteTasks, path: str, all_edges: bool) -> None:
@@ -46,7 +46,7 @@ class SiteTeam:
         }
         nodes = next(filter(None, map(list, (tasks.start, tasks.parking, tasks.docks))), None)
         nodes = nodes or list(site.nodes)[:1]
-        # robot k starts in node k, and is of type k; both go round
+        # robot k starts in node k, and is of type k; both lists wrap around
         rounds = len(nodes) * len(types) // math.gcd(len(nodes), len(types))
         starts = [(nodes[k % len(nodes)], types[k % len(types)]) for k in range(rounds)]
         self.start = [(node, self.kinds[robot][0]) for node, robot in starts]
@@ -141,7 +141,7 @@ class SiteTeam:
             )
         for name in [node for node in self._tasks.parking if node in lost]:
             raise InputError(
-                "no robot can get from its start to node '%s', where robots are to park" % name,
+                "no robot can get from its start to node '%s', where robots should park" % name,
                 file=self._path,
                 element=name,
                 hint="choose another node, or give a 'start' from where it can be reached",
@@ -207,7 +207,7 @@ class SiteTeam:
             rows += policy.rows if all_edges else found
         if stuck:
             self.notes.append(
-                "robots in these nodes get to no task and no dock any more: %s"
+                "robots in these nodes can no longer reach a task or a dock: %s"
                 % some_names(sorted(stuck))
             )
         return rows

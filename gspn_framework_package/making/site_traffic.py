@@ -1,12 +1,13 @@
-"""Where robots on a map can wait for each other in a circle, and groups that let none come about.
+"""Where robots on a map can wait for each other in a circle, and groups that prevent it.
 
 A robot that rests in a node holds the limits of that node, and waits for those of the next one. So
-robots can only wait for each other for ever if limits that are all full wait for each other in a
-circle. A circle of limits needs a number of robots, and where fewer may be, there is none.
+robots can wait for each other for ever only if limits that are all full wait for each other in a
+circle. It takes a number of robots to fill a circle of limits, and none forms where fewer are
+allowed.
 
 Limits of one robot each that wait for each other both ways, as the nodes of a lane do, become one
-that holds a single robot: it is full as soon as a robot is in any of its nodes, so that it counts
-as a single node from then on. Circles that are left, as of lanes that are one way, get a group that
+limit of a single robot: it is full as soon as a robot is in any of its nodes, so that it counts as
+a single node from then on. The remaining circles, such as those of one-way lanes, get a group that
 holds one robot less than the smallest of them needs.
 """
 
@@ -124,7 +125,7 @@ def _robots_of(parts: Sequence[_Part]) -> int:
 
 
 def _joined(parts: Sequence[_Part], pairs: Sequence[Tuple[int, int]]) -> List[_Part]:
-    """The parts, with those of each pair as one that holds a single robot."""
+    """The parts, with the two of each pair joined to one that holds a single robot."""
     sources, targets = zip(*pairs)
     ones = np.ones(len(pairs), dtype=np.int8)
     matrix = sparse.coo_matrix((ones, (sources, targets)), shape=(len(parts), len(parts)))
@@ -154,7 +155,7 @@ def _arcs(follow: Sequence[Set[int]], weights: Mapping[int, int]) -> sparse.csr_
 
 
 def _strong(follow: Sequence[Set[int]]) -> List[List[int]]:
-    """The sets of parts of which each can wait for each other one, over others."""
+    """The sets of parts in which each can wait for every other one, perhaps through others."""
     count, of = csgraph.connected_components(
         _arcs(follow, dict.fromkeys(range(len(follow)), 1)), connection="strong"
     )

@@ -407,7 +407,7 @@ def _rendezvous(title: str, robots: int, places: Sequence[str]) -> _Draft:
     )
     plan = {
         "plan": title,
-        "description": "Pickers fill trays; carriers meet them and bring the trays away.",
+        "description": "Pickers fill trays; carriers meet them and take the trays away.",
         "actions": {
             "Pick": _takes(5.0),
             "Full": None,

@@ -132,10 +132,10 @@ def test_policy_rows_that_no_robot_can_ask_for_are_left_out_with_a_note(folder: 
     ]
     timed = "left out 't1', which is exponential: a policy chooses among immediate transitions"
     assert [note for note in plan.notes if "policy row" in note] == [
-        "policy row 1: %s; and so the row, of which nothing is left" % timed,
-        "policy row 2: left out 't9', which the net does not have; and so the row, of which nothing is left",
+        "policy row 1: %s; and so the row, which has no other choice" % timed,
+        "policy row 2: left out 't9', which the net does not have; and so the row, which has no other choice",
         "policy row 3: %s" % timed,
-        "policy row 4: %s; and so the row, of which nothing is left" % timed,
+        "policy row 4: %s; and so the row, which has no other choice" % timed,
     ]
 
 

@@ -384,7 +384,7 @@ def test_a_subprocess_of_woped_is_refused(tmp_path):
             "tapaal.pnml",
             "<text>2</text>",
             "2",
-            "the text '2' must not stand directly in <initialMarking>",
+            "the text '2' must not be directly in <initialMarking>",
         ),
         (
             "tapaal.pnml",

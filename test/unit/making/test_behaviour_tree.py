@@ -76,7 +76,7 @@ def test_a_node_does_what_its_documentation_says(made, body, script, leaves, end
             "tree.xml:4: <Parallel>: a robot does one",
         ),
         ("<ReactiveSequence><A/></ReactiveSequence>", "tree.xml:3: <ReactiveSequence>: "),
-        ('<A _skipIf="x == 1"/>', "the script of _skipIf looks at the blackboard"),
+        ('<A _skipIf="x == 1"/>', "the script of _skipIf reads the blackboard"),
         ("<MyControl><A/></MyControl>", "only leaves can be your own"),
         ("<Inverter><A/><B/></Inverter>", "it has 2 children, not one"),
         ("<Sequence/>", "it has no child"),
@@ -89,7 +89,7 @@ def test_a_node_does_what_its_documentation_says(made, body, script, leaves, end
         ("<AlwaysSuccess/>", "begins with no action"),
         (
             "<Sequence><A/><KeepRunningUntilFailure><AlwaysSuccess/></KeepRunningUntilFailure></Sequence>",
-            "repeats for ever what runs no action",
+            "repeats for ever a part that runs no action",
         ),
     ],
 )
@@ -103,7 +103,7 @@ def test_what_a_plan_cannot_express_is_named_with_its_line(made, body, message):
     "text, message",
     [
         ("<root><BehaviorTree/></root>", 'BTCPP_format="4"'),
-        ("<pnml/>", "no file of BehaviorTree.CPP"),
+        ("<pnml/>", "not a file of BehaviorTree.CPP"),
         ('<root BTCPP_format="4"><include path="a.xml"/><BehaviorTree ID="T"/></root>', "included"),
         ("<root", "not well-formed XML"),
     ],

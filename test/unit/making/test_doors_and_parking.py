@@ -221,7 +221,7 @@ def test_bad_doors_are_errors_with_their_line(tmp_path: Path, text: str, where: 
 
 def test_a_parking_where_nobody_gets_is_an_error(tmp_path: Path) -> None:
     text = HALLS.replace("east: [10, 0]", "east: [10, 0], far: [20, 0]")
-    with pytest.raises(InputError, match="to node 'far', where robots are to park"):
+    with pytest.raises(InputError, match="to node 'far', where robots should park"):
         built(tmp_path, text, {**BOTH_ENDS, "parking": ["far"]})
 
 

@@ -107,7 +107,7 @@ def test_a_tick_whose_outcome_was_not_taken_is_not_done_again(tmp_path):
         ("c.Selector('s', False, [leaf('A'), leaf('B')])", "it has no memory"),
         ("Success('done')", "begins with no action"),
         ("c.Sequence('s', True, [leaf('A'), d.Repeat('r', Success('done'), -1)])",
-         "tree.py:6: after 'A' it repeats for ever what runs no action"),
+         "tree.py:6: after 'A' it repeats for ever a part that runs no action"),
         ("d.Retry('r', leaf('A'), 6000)", "more than 5000 leaves"),
         ("d.Retry('r', Success('done'), 900000)", "too many nodes"),
     ],
@@ -129,7 +129,7 @@ def test_a_part_that_is_one_action_is_named_with_its_line_and_why(made):
         "c.Sequence('s', True, [leaf('A'), d.Timeout('t', leaf('B'), 3), c.Selector('f', False, [leaf('C'), Success('D')])])"
     )
     assert [note.partition("tree.py:")[2] for note in plan.notes] == [
-        "8: Timeout 't' is one action, with all that is below it: its time is that of all that is below it"
+        "8: Timeout 't' is one action, with everything below it: its time limit is for everything below it"
     ]
     assert list(plan.plan["actions"]) == ["A", "t", "C", "SUCCESS", "FAILURE"]
 

@@ -147,10 +147,10 @@ def test_what_is_one_action_or_left_out_is_named_with_its_line(made):
     where = [note.rpartition("machine.py:")[2] for note in plan.notes]
     assert where == [
         "7: StateMachine: its callbacks are not called",
-        "9: Concurrence 'BOTH': it is one action, with all that is in it: its states run at the same time",
-        "12: Iterator 'EACH': it is one action, with all that is in it: what it iterates over is known "
+        "9: Concurrence 'BOTH': it is one action, with everything in it: its states run at the same time",
+        "12: Iterator 'EACH': it is one action, with everything in it: what it iterates over is known "
         "only when it runs",
-        "userdata stays in each robot's own machine, and is no data of the plan: items",
+        "userdata stays in each robot's own machine, and is not data of the plan: items",
     ]
 
 
