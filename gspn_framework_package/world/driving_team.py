@@ -123,7 +123,7 @@ class DrivingTeam:
         self.navigators[robot].plan_anew()
 
     def _plan_anew(self) -> None:
-        """Have everybody find a way around what is in the room now."""
+        """Have robots and people find paths around what is in the room now."""
         closed = [self.room.doors[name] for name in self._closed]
         solids = (*self.room.obstacles, *closed, *self.models.solids())
         room = replace(self.room, obstacles=solids)

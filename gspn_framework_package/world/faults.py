@@ -82,7 +82,7 @@ def read_fault(data: Any) -> RoomFault:
 
 
 def check_fault(fault: RoomFault, room: Room) -> None:
-    """Check the door or person of a fault. :raises ValueError: the room has no such one."""
+    """Check the door or person of a fault. :raises ValueError: the room has none of that name."""
     if fault.kind == "door" and fault.door not in room.doors:
         raise ValueError("there is no door '%s'" % fault.door)
     if fault.kind == "person" and fault.person >= len(room.people):
@@ -115,7 +115,7 @@ class Faults:
         self.refused = ""
 
     def order(self, fault: RoomFault) -> None:
-        """Have a fault happen, at once if its time is over.
+        """Schedule a fault; if its time is past, it happens at once.
 
         :raises ValueError: there is no such robot, door or person.
         """

@@ -1,8 +1,8 @@
 """Services and a topic of Gazebo that tests of robots use: pause and reset, and models.
 
-Their types are those of ``gazebo_msgs`` where it is installed. No package of Debian 12 has it;
-there they are types of this package with the same fields, which is what services compare. So a
-client that was written for ``gazebo_msgs`` is answered either way.
+Their types are those of ``gazebo_msgs`` if it is installed. Debian 12 has no package of it; there,
+this package's own types have the same fields, and ROS compares nothing else when a service is
+called. So a client written for ``gazebo_msgs`` gets an answer in both cases.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class GazeboServices:
         self._next = 0.0
 
     def publish(self, time: float) -> None:
-        """Publish where all models are, if it is time to and somebody listens.
+        """Publish where all models are, if it is time and somebody listens.
 
         :param time: of the world, in seconds.
         """
@@ -127,7 +127,7 @@ class GazeboServices:
 
 
 def _placed(pose: Any) -> Placed:
-    """A pose of a message. :raises ValueError: it is not upright, or no pose."""
+    """A pose of a message. :raises ValueError: it is not a pose, or is not upright."""
     turned = pose.orientation
     if turned == type(turned)():
         turned.w = 1.0  # nothing filled in, as in a call by hand

@@ -100,7 +100,8 @@ class Models:
         return Placed(Pose(x, y, yaw), placed.height - other.height, (vx, vy, turn))
 
     def in_map(self, frame: str, placed: Placed) -> Placed:
-        """A pose in the frame of a robot or model, in the map. :raises ValueError: no frame."""
+        """A pose in the frame of a robot or model, in the map. :raises ValueError: there is no such
+        frame."""
         if frame in WORLD_FRAMES:
             return placed
         other = self.placed(frame)

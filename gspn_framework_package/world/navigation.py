@@ -278,7 +278,7 @@ class Navigator:
                     self._no_way_since = seen.time
                 field = self._grid.field(goal, (), [(x, y, r + 0.05) for x, y, r in blocked])
                 if math.isinf(field.cost((seen.pose.x, seen.pose.y))):
-                    self._end(NavigationStatus.FAILED, "no way leads there")
+                    self._end(NavigationStatus.FAILED, "no path leads there")
                     return
             else:
                 self._no_way_since = None

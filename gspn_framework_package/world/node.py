@@ -51,7 +51,7 @@ STATE_PERIOD = 0.1
 """Seconds of wall time between two messages on ``/world/state``."""
 
 PAUSED_PERIOD = 0.01
-"""Seconds of wall time between two looks for orders while the world is paused."""
+"""Seconds of wall time between two checks for orders while the world is paused."""
 
 CLOCK_RATE = 100.0
 """Messages on ``/clock`` in a second, unless the world is faster than real time: each takes time of

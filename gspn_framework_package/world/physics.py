@@ -84,8 +84,8 @@ class Physics:
     :param robots: names of the robots, in the order of ``room.spawn``.
     :param poses: their start poses, instead of ``room.spawn``.
     :param gui: open PyBullet's window.
-    :param drift: standard deviation of the error with which the odometry knows the circumference of
-        each wheel, as a part of it.
+    :param drift: standard deviation of the error in each wheel's circumference that the odometry
+        assumes, as a fraction of the circumference.
     :param seed: of these errors.
     :raises ValueError: there are fewer start poses than robots.
     """
@@ -149,8 +149,8 @@ class Physics:
         return UrdfBody(make_robot(self._client, kind, pose, colour_of(name)), (0, 1), (1.0, 1.0))
 
     def _inertial(self, unique_id: int) -> Optional[_Frame]:
-        """The origin of a body as its inertial frame sees it, of which Bullet speaks; None if it is
-        above or below it."""
+        """The origin of a body in its inertial frame, whose pose Bullet reports; None if it is
+        right above or below that."""
         dynamics = self._client.getDynamicsInfo(unique_id, -1)
         place, turned = dynamics[3], dynamics[4]
         if abs(place[0]) < 1e-9 and abs(place[1]) < 1e-9 and abs(turned[3]) > 1.0 - 1e-9:
@@ -237,7 +237,7 @@ class Physics:
         )
 
     def place_door(self, name: str, closed: bool) -> None:
-        """Put the body of a door into its place, or away."""
+        """Put the body of a door into its place, or remove it."""
         door = self.room.doors[name]
         self._client.resetBasePositionAndOrientation(
             self._doors[name],

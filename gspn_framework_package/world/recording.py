@@ -1,6 +1,6 @@
 """Recorded runs of the world: JSON lines, the first with the room and the robots, then one per
 moment: the time, the poses of the robots, in a room with people their positions (null for absent),
-and the time of the wall clock, by which the log of the run is found to be of the same moment."""
+and the time of the wall clock, which relates each moment to the log of the run."""
 
 from __future__ import annotations
 

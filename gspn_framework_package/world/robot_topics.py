@@ -39,8 +39,8 @@ class Sensing(NamedTuple):
     :ivar navigation: serve ``move_base``.
     :ivar localisation: publish ``amcl_pose``, and where the odometry is in the map.
     :ivar scan_noise: standard deviation of the ranges of a scan, metres.
-    :ivar odom_drift: standard deviation of the error with which the odometry knows a wheel's
-        circumference, as a part of it.
+    :ivar odom_drift: standard deviation of the error in each wheel's circumference that the
+        odometry assumes, as a fraction of the circumference.
     :ivar seed: of both.
     """
 
@@ -121,8 +121,8 @@ class RobotTopics:
         return read_text(kind.urdf) if kind.urdf else robot_urdf(kind)
 
     def _fixed_frames(self) -> Mapping[str, Tuple[str, float]]:
-        """Those that the world publishes: what a URDF of the user has is left to
-        robot_state_publisher."""
+        """The frames that the world publishes; robot_state_publisher publishes those in a user's
+        URDF."""
         kind = self._team.room.robot
         if not kind.urdf:
             return FIXED_FRAMES

@@ -87,7 +87,7 @@ def _check_location(
     for path, pose in sweep:
         if place.area.distance((pose.x, pose.y)) > 0.0:
             raise document.error(
-                "the point is not in the area that it is to sweep",
+                "the point is not in the area to sweep",
                 path,
                 "the area goes from %s to %s" % (list(place.area.low), list(place.area.high)),
             )
@@ -134,7 +134,7 @@ def _check_ways(
     for path, pose in others:
         if math.isinf(field.cost((pose.x, pose.y))):
             raise document.error(
-                "no way leads from there to %s" % path_text(first),
+                "no path leads from there to %s" % path_text(first),
                 path,
                 "%s needs gaps of %g m and more" % (who, 2 * room.robot.radius + 0.1),
             )

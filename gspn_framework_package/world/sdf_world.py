@@ -28,13 +28,14 @@ if TYPE_CHECKING:
 
 _MOST_LEVELS = 10  # of models in models
 
-_BUILT_IN = ("sun", "ground_plane")  # models that come with Gazebo and are no bodies of a room
+_BUILT_IN = ("sun", "ground_plane")  # models that come with Gazebo and are not bodies of a room
 
 
 def read_world(file: str) -> Tuple[List[Obstacle], List[str]]:
     """The solid bodies of a world, and notes on what was left out.
 
-    :raises InputError: it is no SDF world, or has a body that cannot be read; the first of these.
+    :raises InputError: it is not an SDF world, or has a body that cannot be read; the first of
+        these.
     """
     root = parse_xml(read_bytes(file), file)
     worlds = all_of(root, "world")
@@ -60,7 +61,7 @@ def _models(
     parent: etree._Element, place: ShapePlace, moved: Dict[str, etree._Element], level: int
 ) -> Iterator[Tuple[etree._Element, ShapePlace, bool]]:
     """The models in an element, also those included from other files and those in models; and
-    whether Gazebo would let nobody push them."""
+    whether they are fixed in Gazebo, so that nothing can push them."""
     if level > _MOST_LEVELS:
         raise place.error("models include each other too deeply", parent)
     for element in parent:
@@ -88,7 +89,7 @@ def _models(
 
 
 def _included(element: etree._Element, place: ShapePlace) -> Optional[Tuple[etree._Element, str]]:
-    """The model that an ``<include>`` names, and its file; None if it is no body of a room."""
+    """The model that an ``<include>`` names, and its file; None if it is not a body of a room."""
     uri = text_of(element, "uri") or ""
     if uri.rpartition("/")[2] in _BUILT_IN:
         return None

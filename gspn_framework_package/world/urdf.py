@@ -66,7 +66,8 @@ class Urdf:
 def read_urdf(data: bytes, file: str) -> Urdf:
     """Read a URDF.
 
-    :raises InputError: it is none, its links are no tree, or a file that it names is missing.
+    :raises InputError: it is not a URDF, its links are not a tree, or a file that it names is
+        missing.
     """
     root = parse_xml(data, file)
     if tag(root) != "robot":
@@ -83,7 +84,7 @@ def read_urdf(data: bytes, file: str) -> Urdf:
             found = child(element, end)
             name = "" if found is None else str(found.get("link", ""))
             if name not in links:
-                raise urdf.error("its %s is no link of the file: '%s'" % (end, name), element)
+                raise urdf.error("its %s is not a link of the file: '%s'" % (end, name), element)
             ends.append(name)
         joint = UrdfJoint(
             str(element.get("name", "")),
@@ -106,7 +107,7 @@ def _link_poses(
 ) -> Dict[str, np.ndarray]:
     """Where each link is in the first.
 
-    :raises InputError: the links are no tree.
+    :raises InputError: the links are not a tree.
     """
     above = {joint.child: joint for joint in joints.values()}
     first = [name for name in links if name not in above]
@@ -121,7 +122,7 @@ def _link_poses(
     while left:
         ready = [joint for joint in left if joint.parent in poses]
         if not ready:
-            raise urdf.error("its links are no tree: joints lead in a circle", left[0].element)
+            raise urdf.error("its links are not a tree: the joints form a circle", left[0].element)
         for joint in ready:
             poses[joint.child] = poses[joint.parent] @ joint.origin
         left = [joint for joint in left if joint.child not in poses]
@@ -233,7 +234,7 @@ def collision_shapes(urdf: Urdf, pose: np.ndarray) -> List[Tuple[etree._Element,
     """The collision shapes, each written as in SDF, and its place.
 
     :param pose: of the first link.
-    :raises InputError: a shape is not as URDF has it.
+    :raises InputError: a shape is not valid URDF.
     """
     from lxml import etree
 

@@ -66,7 +66,7 @@ def measured(kind: RobotType, given: Mapping[str, Any]) -> RobotType:
     }
     if not found["wheel_radius"]:
         raise urdf.error(
-            "the radius of the wheel is not known: its collision shape is no cylinder or sphere",
+            "the wheel's radius is not known: its shape is neither a cylinder nor a sphere",
             urdf.links[left.child],
             "state wheel_radius under robot in the room file",
         )
@@ -107,7 +107,8 @@ def _wheel(urdf: Urdf, name: str) -> UrdfJoint:
 
 
 def _forward(urdf: Urdf, joint: UrdfJoint) -> float:
-    """About 1 if the robot drives forward where the joint turns on, -1 if it drives backward."""
+    """About 1 if the robot drives forward when the angle of the joint grows, -1 if it drives
+    backward."""
     axis = child(joint.element, "axis")
     turned = [1.0, 0.0, 0.0] if axis is None else numbers(urdf, axis, "xyz", 3, joint.element)
     return float((urdf.poses[joint.child][:3, :3] @ turned)[1] / (math.hypot(*turned) or 1.0))
@@ -159,7 +160,7 @@ class UrdfBody(NamedTuple):
 
     :ivar unique_id: of the body.
     :ivar wheels: the joints of the left wheel and the right one.
-    :ivar forward: 1 for each if the robot drives forward where it turns on, else -1.
+    :ivar forward: 1 for each if the robot drives forward when its angle grows, else -1.
     """
 
     unique_id: int
@@ -193,7 +194,7 @@ def _load(client: Any, urdf: Urdf, kind: RobotType, pose: Pose) -> int:
             joint.set("type", "fixed")
     for link in all_of(root, "link"):
         if child(link, "inertial") is None:
-            # PyBullet would take 1 kg, and an inertia of 1 kg m2
+            # PyBullet would assume 1 kg, and an inertia of 1 kg m2
             link.append(etree.fromstring(_NO_MASS))
     with tempfile.NamedTemporaryFile("wb", suffix=".urdf") as file:
         file.write(etree.tostring(root))

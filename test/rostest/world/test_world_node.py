@@ -208,7 +208,7 @@ class TestWorld(unittest.TestCase):
 
     def test_3_goals_that_cannot_be_are_refused_or_aborted_with_a_reason(self):
         for goal, status, words in (
-            (Drive(self.client, 0.0, 0.0), GoalStatus.ABORTED, "no way leads there"),
+            (Drive(self.client, 0.0, 0.0), GoalStatus.ABORTED, "no path leads there"),
             (Drive(self.client, 0.5, 0.5, frame="odom"), GoalStatus.REJECTED, "frame"),
             (Drive(self.client, 0.5, 0.5, w=0.0), GoalStatus.REJECTED, "quaternion"),
             (Drive(self.client, math.nan, 0.5), GoalStatus.REJECTED, "finite"),

@@ -121,7 +121,7 @@ def test_a_link_without_inertial_adds_no_mass_and_a_mesh_its_size(tmp_path):
         (('<sphere radius="0.02"/>', '<mesh filename="a.stl"/>'), WHEELS, "no mesh 'a.stl'"),
         (('<sphere radius="0.02"/>', '<mesh filename="b.obj"/>'), WHEELS, "a point that is not in"),
         (('<sphere radius="0.02"/>', '<sphere radius="big"/>'), WHEELS, "link 'caster'"),
-        (('<child link="caster"/>', '<child link="base"/>'), WHEELS, "no tree"),
+        (('<child link="caster"/>', '<child link="base"/>'), WHEELS, "not a tree"),
         (('<child link="caster"/>', '<child link="nothing"/>'), WHEELS, "'nothing'"),
         (('name="base"', 'name="xacro_base"'), WHEELS, "'base'"),
     ],

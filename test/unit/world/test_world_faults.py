@@ -135,7 +135,7 @@ def test_a_closed_door_is_a_wall_until_it_opens(team):
     assert one.faults.report()["closed"] == ["middle"]
     one.navigators["r1"].go(Pose(1.0, 0.0), one.time)
     run(one, 1.0)
-    assert one.navigators["r1"].reason == "no way leads there"
+    assert one.navigators["r1"].reason == "no path leads there"
     one.physics.carry("r1", Pose(-0.5, 0.0))
     assert one.physics.scan("r1")[0] == pytest.approx(0.475, abs=0.01)
     run(one, 7.5)

@@ -144,7 +144,7 @@ def test_nobody_touches_and_everybody_arrives(scene):
 @pytest.mark.parametrize(
     "where, starts, goal, reason",
     [
-        (OPEN, [(-1, 0, 0)], (2, 2), "no way leads there"),
+        (OPEN, [(-1, 0, 0)], (2, 2), "no path leads there"),
         (OPEN, [(-1, 0, 0), (1, 0, 0)], (1, 0), "blocked by standing robots"),
         (NARROW, [(-2, 0, 0), (0, 0, 0)], (2, 0), "blocked by standing robots"),
     ],

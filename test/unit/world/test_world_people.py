@@ -123,7 +123,7 @@ def test_the_seed_decides_when_somebody_comes():
     [
         ("[[-3.95, 1.3], [0, 1.3]]", "people[0].path[0]", "a person does not fit"),
         ("[[-3.7, 1.3]]", "people[0].path", "needs 2 or more"),
-        ("[[-3.7, 1.3], [9.0, 1.3]]", "people[0].path[1]", "no way leads|does not fit"),
+        ("[[-3.7, 1.3], [9.0, 1.3]]", "people[0].path[1]", "no path leads|does not fit"),
     ],
 )
 def test_a_path_that_nobody_can_walk_is_refused(change: str, element: str, said: str):

@@ -85,7 +85,7 @@ def refusal(text):
             13,
             "spawn[0]: a robot does not fit there",
         ),
-        ("spawn:\n", "spawn:\n  - [3, 0]\n", 14, "spawn[1]: no way leads from there to spawn[0]"),
+        ("spawn:\n", "spawn:\n  - [3, 0]\n", 14, "spawn[1]: no path leads from there to spawn[0]"),
         ("[[-0.5, -0.5], [0.5, 0.5]]", "[[0.5, 0.5], [-0.5, -0.5]]", 6, "no interior"),
         ("spawn:", "name: again\nspawn:", 12, "the key 'name' occurs twice"),
         ("name: small", "name: &n [*n]", 1, "an alias that contains itself"),
@@ -154,7 +154,7 @@ def test_aliases_that_unfold_into_thousands_of_millions_are_refused():
 
 def test_a_wall_without_a_door_is_reported_where_it_cuts_off_the_bay():
     error = refusal(GOOD + "boxes: [{at: [0.4, 0], size: [0.1, 2]}]\n")
-    assert "locations.A.bay[0]: no way leads from there to spawn[0]" in str(error)
+    assert "locations.A.bay[0]: no path leads from there to spawn[0]" in str(error)
     assert error.line == 10
 
 
