@@ -50,8 +50,8 @@ PREDICTED = 400
 """Simulated runs for the prediction of a live run."""
 
 FOR_PROOFS = 0.8
-"""The part of the time in which a question is decided, so that there is time to say how far it
-came."""
+"""The part of the time in which a question is decided, so that there is time left to report how far
+it came."""
 
 LIKELY = 40
 """How many of the most probable states are reported individually."""

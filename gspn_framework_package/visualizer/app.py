@@ -88,7 +88,7 @@ def create_app(project: Project, guard: Guard, viewers: int = 24) -> flask.Flask
 
 
 def _guard(app: flask.Flask, project: Project, guard: Guard) -> None:
-    """Let only requests in that are allowed."""
+    """Let in only the requests that are allowed."""
 
     @app.before_request
     def check() -> Optional[_JsonAndStatus]:
@@ -150,7 +150,7 @@ def _explain_errors(app: flask.Flask, project: Project) -> None:
 
 
 def _add_page(app: flask.Flask, project: Project, guard: Guard) -> None:
-    """Add the routes of the page itself, and of who may see it."""
+    """Add the routes of the page itself, and of the login."""
 
     @app.route("/")
     def page() -> Response:

@@ -129,7 +129,7 @@ def bag_track(path: str, names: Collection[str], begin: float) -> PoseTrack:
     """Where robots were while a bag was recorded; without any poses if it has none.
 
     :param names: those of the robots. The poses of one are on ``amcl_pose``, or else ``odom``, in a
-        namespace that ends in its name; a simulated world says those of all.
+        namespace that ends in its name; a simulated world publishes those of all.
     :param begin: the time of the bag's clock that is the beginning of the track (s).
     :raises LogError: the file is not a bag, or a message in it cannot be read.
     """
@@ -174,7 +174,7 @@ def _topics(bag: Any) -> Dict[str, str]:
 
 @contextlib.contextmanager
 def _opened(path: str) -> Iterator[Any]:
-    """A bag, open. What cannot be read in it is a :class:`LogError`."""
+    """An open bag. Whatever cannot be read in it raises a :class:`LogError`."""
     try:
         import rosbag
     except ImportError:

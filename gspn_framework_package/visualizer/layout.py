@@ -204,8 +204,8 @@ def _names(net: Net) -> List[str]:
 
 
 def drawn(nodes: Mapping[str, Optional[Point]]) -> Optional[Dict[str, Point]]:
-    """The positions that a person gave the nodes, and for those without one a place below the
-    others. None if nobody drew them: no node has a position, or all have the same.
+    """The positions that a person gave the nodes; a node without one gets a position below the
+    others. None if nobody placed them: no node has a position, or all have the same.
 
     :param nodes: name -> position in the file.
     """

@@ -145,13 +145,13 @@ CHECK: Dict[str, Schema] = {
 EPOCH = {"epoch": TEXT}
 POSES: Dict[str, Schema] = {
     **EPOCH,
-    "from": described_as(NUMBER, "the time from which the moments say all (s)"),
+    "from": described_as(NUMBER, "the time from which the moments are complete (s)"),
     "to": described_as(NUMBER, "the time up to which they do"),
     "moments": list_with({"t": NUMBER, "robots": map_to(OBJECT)}),
 }
 _RANGE = {"name": TEXT, "low": NUMBER, "high": NUMBER}
 ANALYSIS_FIELDS: Dict[str, Schema] = {
-    "event?": described_as(WHOLE, "the event after which; without it, now"),
+    "event?": described_as(WHOLE, "the event after which to ask; without it, now"),
     "from?": described_as(TEXT, "'marking': from that marking; otherwise, from the initial one"),
     "limit?": described_as(WHOLE, "maximum number of states"),
     "seconds?": described_as(NUMBER, "time limit"),
@@ -190,7 +190,7 @@ NAMED_SCHEMAS: Dict[str, Schema] = {
     "News": object_with(
         {
             "cursor": described_as(
-                TEXT, "where to go on: the parameter 'since' of the next request"
+                TEXT, "where to continue: the parameter 'since' of the next request"
             ),
             "snapshot?": object_with(
                 {
@@ -207,7 +207,7 @@ NAMED_SCHEMAS: Dict[str, Schema] = {
             "more?": described_as(FLAG, "there are further events: ask again at once"),
         }
     ),
-    "Ping": described_as(OBJECT, "nothing happened for some seconds; the connection lives"),
+    "Ping": described_as(OBJECT, "nothing happened for some seconds; the connection is alive"),
     "Closed": described_as(object_with({"reason": TEXT}), "nothing more will come"),
     "Editing": object_with(EDITORS),
     "SimulationForm": object_with(_SIMULATION),

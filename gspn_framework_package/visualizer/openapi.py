@@ -157,8 +157,8 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ),
     ("POST", "/api/do"): ApiOperation(
         "command",
-        "Give an order to the simulation, the run or the team. Which are possible, the field "
-        "'commands' of the 'info' of a snapshot says.",
+        "Give an order to the simulation, the run or the team. The field "
+        "'commands' of the 'info' of a snapshot lists those that are possible.",
         ("id",),
         None,
         {
@@ -426,8 +426,8 @@ API_OPERATIONS: Dict[Tuple[str, str], ApiOperation] = {
     ),
     ("POST", "/api/edit/function"): ApiOperation(
         "edit_function",
-        "A function of a plan: its source, or to look, why it has none; with a text, what is wrong "
-        "with that; to save, write it, if the version in the file is still this one.",
+        "A function of a plan. Without 'text', its source; with 'look', also why there is none."
+        " With 'text', what is wrong with it; with 'save', write it if its version is unchanged.",
         ("id",),
         {"function": TEXT, "text?": TEXT, "look?": FLAG, "save?": FLAG, "version?": TEXT},
         {

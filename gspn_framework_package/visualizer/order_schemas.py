@@ -55,7 +55,7 @@ PAGE_COMMANDS: Dict[str, PageCommand] = {
     "reset": PageCommand("simulation: return to the initial marking"),
     "clear": PageCommand("simulation: remove every token"),
     "move": PageCommand(
-        "simulation: go on from another marking",
+        "simulation: continue from another marking",
         {"marking": described_as(COUNTS, "the number of tokens in each place")},
     ),
     "probabilities": PageCommand(
@@ -68,7 +68,7 @@ PAGE_COMMANDS: Dict[str, PageCommand] = {
     ),
     "simulate": PageCommand("return to the simulation after a run"),
 }
-"""The commands that are no orders of the table."""
+"""The commands that are not in the table of orders."""
 
 _FIRE_ANYWAY: Dict[str, Schema] = {
     "any_priority?": {

@@ -117,7 +117,7 @@ class PageOrders:
 
         :raises RefusedError: the order was not carried out, or nobody knows whether it was.
         """
-        # a busy team may take longer than once
+        # asked twice, since a busy team may answer too late the first time
         there = self._answering(self._line) or self._answering(self._line)
         if not there:
             raise RefusedError(

@@ -1,5 +1,4 @@
-"""Where robots are and were: what messages say of it, and what the page keeps of it for the time
-line."""
+"""Where robots are and were: read from messages, and kept by the page for the time line."""
 
 from __future__ import annotations
 
@@ -20,7 +19,7 @@ MOST_MOMENTS = 40_000
 """Maximum number of moments of a track: more than five hours of robots that never stand still."""
 
 POSES_AT_ONCE = 60.0
-"""Seconds of a track that the page gets at once; half as many lie before what it asked for."""
+"""Seconds of a track that the page gets at once, half of them before the requested time."""
 
 WIDEST_MAP = 400
 """Largest number of cells of the drawn map on a side; a finer map is reduced."""
@@ -36,7 +35,7 @@ MAP_TYPE = "nav_msgs/OccupancyGrid"
 _OCCUPIED, _FREE, _UNKNOWN = 2, 1, 0
 
 RobotPose = Mapping[str, Any]
-"""``pose``: x and y (m) and yaw (rad). ``by``: the topic that says so, if it is a real robot's."""
+"""``pose``: x and y (m) and yaw (rad). ``by``: the topic that reports it, for a real robot."""
 
 
 class PoseTrack:
@@ -82,7 +81,7 @@ class PoseTrack:
 
     def around(self, t: float, now: float = math.inf) -> Dict[str, Any]:
         """The ``moments`` around a time (``t``, in seconds, and ``robots``: robot -> pose), which
-        say all ``from`` a time ``to`` another.
+        are complete ``from`` one time ``to`` another.
 
         :param now: the time up to which the track is known (s).
         """

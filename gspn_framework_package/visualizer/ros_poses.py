@@ -1,5 +1,5 @@
 """Where real robots are, for the page: from their localisation, or else their odometry, and the map
-that they share. In a simulated world the world itself says so (``/world/state``)."""
+that they share. A simulated world publishes them itself (``/world/state``)."""
 
 from __future__ import annotations
 

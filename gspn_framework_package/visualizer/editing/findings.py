@@ -54,7 +54,7 @@ OF_ROBOTS = {
     "timeless_cycle",
     "waiting",
 }
-"""The checks of what robots do, which say nothing as long as there are none."""
+"""The checks of what robots do, which are meaningless while there are no robots."""
 
 LEVELS = {Severity.REFUSED: "error", Severity.WARNING: "warning", Severity.OK: "note"}
 
@@ -394,7 +394,7 @@ def _as_far_as_drawn(
     findings: Iterable[Dict[str, Any]], begun: bool, nodes: DocumentNodes
 ) -> Iterable[Dict[str, Any]]:
     """The findings, without those that cannot be judged yet: on the action of a place without arcs,
-    and, unless a run could have ``begun`` with somebody in it, on what robots do."""
+    and, unless a run could have ``begun`` with a robot in it, on what robots do."""
     ends = nodes.ends()
     for found in findings:
         if found["check"] in OF_ROBOTS and not begun:

@@ -66,8 +66,8 @@ def read_function(place: str, name: object) -> FunctionSource:
 def problem_of_function(name: object, text: object) -> Dict[str, Any]:
     """Check the source of a function, without running it.
 
-    :returns: ``problem``: what is wrong with it, "" if nothing is; ``line``: the line of that, or
-        null; ``parameters``: the settings that it takes.
+    :returns: ``problem``: what is wrong with it, "" if nothing is; ``line``: its line, or null;
+        ``parameters``: the settings that it takes.
     :raises UsageError: the name is not that of a function.
     """
     problem, line, node = _parsed(_function_in(name), text)

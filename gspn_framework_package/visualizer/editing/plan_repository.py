@@ -209,7 +209,7 @@ class PlanRepository:
             return ""
 
     def latest(self, path: str) -> Dict[str, Any]:
-        """The state that the pages at a plan share: its draft or, without one, its files, with
+        """The state that all pages of a plan share: its draft or, without one, its files, with
         their hash as ``etag``; its ``version``; and whether it is a ``draft``.
 
         :raises GspnError: it cannot be opened.

@@ -149,7 +149,7 @@ def _add_functions(app: flask.Flask, repository: PlanRepository, body: RequestBo
 def _add_shared(
     app: flask.Flask, repository: PlanRepository, body: RequestBody, streams: Streams
 ) -> None:
-    """Add the routes by which pages that edit one plan know of each other."""
+    """Add the routes through which pages that edit one plan learn of each other."""
 
     @app.route(PREFIX + "/latest")
     def latest_state() -> Response:
@@ -167,7 +167,7 @@ def _add_shared(
     def stream_of_plan() -> Response:
         page, peer = request.args.get("page", ""), request.remote_addr or ""
         if not streams.take(peer):
-            return answer({"error": "too many streams are open already: this page asks"}, 503)
+            return answer({"error": "too many streams are open already: this page polls"}, 503)
         try:
             file = repository.come(_path(), page, {}, stream=True)
         except BaseException:

@@ -1,8 +1,8 @@
-"""Several people who edit one plan: who is in it, and which state of it is the latest.
+"""Several people who edit one plan: who they are, and which state of it is the latest.
 
-The state that they share is the plan's draft or, without one, its files; its version names it. Who
-sends a state says which version it is based on. One that is based on an earlier version is refused,
-with the present state, so that the page merges the two and sends the result.
+The state that they share is the plan's draft or, without one, its files; its version names it. A
+page that sends a state also sends the version that it is based on. One that is based on an earlier
+version is refused, with the present state, so that the page merges the two and sends the result.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ class OutdatedError(RefusedError):
 
 @dataclass
 class _Editor:
-    """A page that edits a plan: the ``number`` that the others call it by, and what is selected."""
+    """A page that edits a plan: the ``number`` by which the others refer to it, and what is
+    selected."""
 
     number: int
     seen: float
@@ -71,7 +72,7 @@ class SharedPlans:
     def come(
         self, path: str, page: object, version: str, fields: Dict[str, Any], stream: bool = False
     ) -> None:
-        """A page is at a plan.
+        """Note that a page shows a plan.
 
         :param version: the plan's present version.
         :param fields: ``selection``, keys of elements, and ``at``, the pointer in the drawing.
@@ -100,7 +101,7 @@ class SharedPlans:
             self._put(room, version)
 
     def leave(self, path: str, page: object, entirely: bool = False) -> None:
-        """A stream of a page has ended; with its last one, the page has left the plan.
+        """Note that a stream of a page has ended; with its last one, the page has left the plan.
 
         :param entirely: the page has left, whatever becomes of its streams.
         """
@@ -118,7 +119,7 @@ class SharedPlans:
                 del self._rooms[path]
 
     def changed(self, path: str, version: str) -> None:
-        """A plan has a new version."""
+        """Note that a plan has a new version."""
         with self._condition:
             room = self._rooms.get(path)
             if room is not None:

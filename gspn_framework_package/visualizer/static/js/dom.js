@@ -4,7 +4,7 @@ const SVG = "http://www.w3.org/2000/svg";
 
 export const $ = (id) => document.getElementById(id);
 
-/** Fill an element. Its classes stand behind its name ("p.muted"); then come its attributes, which may be missing, and
+/** Fill an element. Its classes follow its name ("p.muted"); then come its attributes, which may be missing, and
  * its children: elements, texts, lists of them. */
 function fill(create, selector, content) {
   const [name, ...classes] = selector.split(".");
@@ -259,7 +259,7 @@ export function number(value) {
     : String(Number(value.toPrecision(5)));
 }
 
-/** A number with so many digits at most. */
+/** A number with at most so many digits. */
 export const rounded = (value, digits) => number(Number(value.toPrecision(digits)));
 
 /** Resolves after so many ms. */

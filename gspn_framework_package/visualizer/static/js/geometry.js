@@ -90,7 +90,7 @@ function halfway(points) {
 }
 
 /** The curve of an arc from edge to edge. `bends`: how far its control points, at a third and at two thirds of its way,
- * are aside of the straight line (px). Returns {start, controls, tip, direction, middle, points}: direction is the unit
+ * are from the straight line (px). Returns {start, controls, tip, direction, middle, points}: direction is the unit
  * vector at the tip, points a sample of the line. */
 export function arcShape(from, to, bends) {
   const [dx, dy] = [to.x - from.x, to.y - from.y];

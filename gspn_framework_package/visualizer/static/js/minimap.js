@@ -1,5 +1,5 @@
-// A small picture of the whole net, with the part of it that is in view: there while that is not all of it. A click or
-// a drag in it moves the view.
+// A small picture of the whole net that marks the part in view; it is shown while part of the net is out of view. A
+// click or a drag in it moves the view.
 
 import { s } from "./dom.js";
 

@@ -27,7 +27,7 @@ export async function linkMoment({ session, board }) {
   toast(
     copied
       ? "The address of this moment was copied"
-      : "The address of the page shows this moment now",
+      : "The address of the page now names this moment",
     true,
   );
 }

@@ -14,8 +14,8 @@ const EDGE = 24; // px from the edge within which a node counts as out of sight
 const INSIDE = 90; // a node that was out of sight is brought this far from the edge (px)
 const THIN = 0.5; // below this zoom, lines are drawn thicker so that they stay visible
 const REST = 150; // ms without a move after which the view is at rest
-const AROUND = 200; // px around the view that are drawn, too, in large nets: so far it moves without being drawn anew
-const BLURRED = 3; // the drawing of a large net is stretched up to this factor until it is drawn anew
+const AROUND = 200; // px around the view that are drawn, too, in large nets: this far it moves without being redrawn
+const BLURRED = 3; // the drawing of a large net is stretched up to this factor until it is redrawn
 
 const limited = (k) => Math.min(NEAREST, Math.max(FARTHEST, k));
 
@@ -29,7 +29,7 @@ export class Camera {
     this.small = false;
     this.now = null; // {k, x, y}: zoom, and where the origin of the net is in the container (px)
     this.drawn = null; // the same, as the layers are drawn
-    this.around = undefined; // px around the container that they are drawn in
+    this.around = undefined; // px around the container in which they are drawn
     this.minimap = new Minimap(this);
     this.observer = new ResizeObserver(() => this.resized());
     this.observer.observe(view.container);

@@ -1,5 +1,5 @@
-// The operator's orders to a running team. Each order names the run shown; its result is shown and stored. Which
-// orders there are, with their fields, words and dialogs, the server says (team/orders.py explains the forms).
+// The operator's orders to a running team. Each order names the run shown; its result is shown and stored. The server
+// lists the possible orders, with their fields, words and dialogs (team/orders.py explains the forms).
 
 import { h, ask, announce, clock, labelled, toast } from "./dom.js";
 import { post } from "./api.js";
@@ -21,7 +21,7 @@ function jsonObject(text) {
   return value;
 }
 
-/** The whole number in a text; the text itself if it is none, for the server to refuse. */
+/** The whole number in a text; the text itself if it is not one, for the server to refuse. */
 const wholeNumber = (text) => (/^-?\d{1,15}$/.test(text) ? Number(text) : text);
 
 /** The values of fields that were given in elements: name -> value. */
@@ -67,14 +67,14 @@ export class Orders extends EventTarget {
     return "";
   }
 
-  /** The orders that this run accepts and whose form stands there. */
+  /** The orders that this run accepts and whose form belongs there. */
   at(where) {
     return Object.keys(this.table).filter(
       (command) => this.table[command].where === where && this.offers(command),
     );
   }
 
-  /** The buttons of the orders whose form stands there, with these fields. */
+  /** The buttons of the orders whose form belongs there, with these fields. */
   buttons(where, fields) {
     return this.at(where).flatMap((command) => [
       this.button(command, Object.values(fields).join(" "), () => this.order(command, fields)),
@@ -155,7 +155,7 @@ export class Orders extends EventTarget {
     return this.model.head.status.run || this.model.scene.plan?.name || this.model.scene.name;
   }
 
-  /** Give an order with these fields; ask first for the others, or whether it is meant, if its form has a dialog. */
+  /** Give an order with these fields; if its form has a dialog, first ask for the other fields or for confirmation. */
   async order(command, fields = {}) {
     const { model } = this;
     const form = this.table[command];

@@ -24,7 +24,7 @@ export function simulationStage(page, start) {
   };
 }
 
-/** The name of a tool; what stands between bars is not seen on a narrow page. */
+/** The name of a tool; the part between bars is hidden on a narrow page. */
 const named = (text) => text.split("|").map((part, i) => (i % 2 ? h("span.wide", part) : part));
 
 export class Tools {

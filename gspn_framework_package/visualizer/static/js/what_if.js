@@ -1,7 +1,6 @@
-// *What if* there were more robots, or robots were slower or called away more often: sliders move
-// a band of predicted firings. While one moves, a few short runs give a first look; when it rests,
-// the exact mean follows where it can be had, and a longer simulation. The page says which is
-// shown.
+// *What if* there were more robots, or robots were slower or called away more often: sliders move a band of predicted
+// firings. While one moves, a few short runs give a first look; when it rests, the exact mean follows where it can be
+// computed, and a longer simulation. The page says which is shown.
 
 import { h, labelled, menu, number, options, question, refill, rounded } from "./dom.js";
 import { get, post } from "./api.js";
@@ -118,7 +117,7 @@ export class WhatIf {
     this.rate.input.setAttribute("aria-label", "How often this event comes");
   }
 
-  /** The request of what the sliders say. */
+  /** The request with the values of the sliders. */
   request() {
     const power = ({ input }) => 10 ** Number(input.value);
     const named = (menu_, slider) => (menu_.value ? { [menu_.value]: power(slider) } : {});
@@ -138,7 +137,7 @@ export class WhatIf {
     if (job) post(`analysis/${job}/cancel`, {}).catch(() => {});
   }
 
-  /** A slider moves: look again as soon as the last look is back. */
+  /** A slider has moved: ask for another first look once the last one has arrived. */
   async changed() {
     this.cancel();
     this.wanted = this.request();

@@ -2,9 +2,9 @@
 
 import { $, h, s } from "../dom.js";
 
-/** Name -> its nodes, and its arcs from each node to the next. Before the name of a node stands what it is: P a place
- * of robots, R a resource place, T a timed and I an immediate transition; behind it its position (px), tokens and
- * capacity. */
+/** Name -> its nodes, and its arcs from each node to the next. A letter before the name of a node gives its kind: P a
+ * place of robots, R a resource place, T a timed and I an immediate transition. Its position (px), tokens and capacity
+ * follow the name. */
 const PARTS = {
   "Patrol cell": [
     "P Look 0 0,T seen 80 0,P Decide 160 0,I stay 80 70,I go 240 0",

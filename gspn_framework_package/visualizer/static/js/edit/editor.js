@@ -58,7 +58,7 @@ export class Editor {
     hideOpening();
     const { page } = this;
     const kept = this.kept.get(key);
-    // the mode is half of the page's modules, which whoever only watches does not need
+    // half of the page's modules belong to the mode, and a viewer who only watches does not need them
     const [{ EditMode }, opened] = (await attempt(() =>
       Promise.all([import("./mode.js"), kept?.opened ?? get("edit", { id: key })]),
     )) ?? [{}];

@@ -11,7 +11,7 @@ import { download, pngOf, svgOf } from "./picture.js";
 
 const QUIET = 1500; // ms without an edit after which the draft is stored
 const SOON = 300; // the same while somebody else edits the plan, who sees the draft
-const REST = 100; // ms between looks whether a gesture has ended
+const REST = 100; // ms between two checks whether a gesture has ended
 const AGAIN = 15_000; // ms before another attempt to store a draft
 const CHANGED = 412; // status: the files have changed on the disk
 
@@ -216,7 +216,7 @@ export class Files {
       if (theirs?.draft) {
         if (!this.take(theirs).length)
           return this.tryToPut(this.mode.document.state, this.mode.opened.etag);
-        this.mode.say("Not saved: both of you changed the same. Look at it, then save again.");
+        this.mode.say("Not saved: both of you changed the same parts. Review them, then save again.");
         return false;
       }
       if (theirs) return this.settle(state, theirs);

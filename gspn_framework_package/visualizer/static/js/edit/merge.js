@@ -22,7 +22,7 @@ export function same(a, b) {
 /** Where a conflict is, as one text. */
 export const placeOf = ({ where }) => JSON.stringify(where);
 
-/** The items of a list by key; of several with one key, the later ones get a number. */
+/** The items of a list by key; if several have the same key, the later ones get a number. */
 function byKey(list, keyOf) {
   const found = new Map();
   for (const item of list) {
@@ -33,7 +33,7 @@ function byKey(list, keyOf) {
   return found;
 }
 
-/** The rows of a policy without their columns: each marking says its counts by place, and nothing of "-". */
+/** The rows of a policy without their columns: each marking has its counts by place, and leaves out "-". */
 const loose = ({ places, rows }) =>
   rows.map((row) => ({
     ...row,
@@ -42,7 +42,7 @@ const loose = ({ places, rows }) =>
     ),
   }));
 
-/** Rows by key: equal rows have the key that they have in `base`, and so has one that follows the same row as there. */
+/** Rows by key: equal rows have the key that they have in `base`, as does a row that follows the same row as there. */
 function rowsByKey(rows, base) {
   const texts = base.map((row) => JSON.stringify(row));
   const free = new Map();
@@ -65,7 +65,7 @@ function rowsByKey(rows, base) {
 }
 
 class Merge {
-  /** `prefer`: the conflicts, as `placeOf` says them, in which the other's value is taken. */
+  /** `prefer`: the conflicts, as `placeOf` names them, in which the other's value is taken. */
   constructor(prefer) {
     this.prefer = prefer;
     this.conflicts = [];
@@ -258,11 +258,10 @@ function apart(base, mine, theirs) {
 
 const NONE = new Set();
 
-/** Merge what two made of `base`. Returns {state, conflicts, taken}. A conflict is {where, mine, theirs}, an element or
- * a field that both changed: `mine` is taken, or `theirs` if `prefer` has its `placeOf`. Or it is
- * {where, needed: true}: a node that one removed and the other needs, which stays.
- * `taken`: where the other's changes are. Nodes of one name
- * that both added get two names if `rename`. Parts that are as in `mine` are the same objects. */
+/** Merge what two people made of `base`. Returns {state, conflicts, taken}. A conflict is {where, mine, theirs}, an
+ * element or a field that both changed: `mine` is taken, or `theirs` if `prefer` has its `placeOf`. Or it is {where,
+ * needed: true}: a node that one removed and the other needs, which stays. `taken`: where the other's changes are.
+ * Nodes of one name that both added get two names if `rename`. Parts that are as in `mine` are the same objects. */
 export function merged(base, mine, theirs, { prefer = NONE, rename = true } = {}) {
   if (theirs === base) return { state: mine, conflicts: [], taken: [] };
   const own = rename ? apart(base, mine, theirs) : mine;

@@ -487,7 +487,7 @@ export class EditMode extends EventTarget {
   }
 
   /** End renaming; `keep`: use the content of the field. An invalid name is reported, and the field stays open if
-   * `insist`. `returns`: the drawing gets the focus. */
+   * `insist`. `returns`: give the focus back to the drawing. */
   endRename(keep, insist = false, returns = true) {
     const { renaming } = this;
     if (!renaming) return;

@@ -1,6 +1,6 @@
 // The plan being edited, and the history of its edits. The state is one immutable value {plan, net, policy}; an edit
 // replaces it by another that shares all unchanged parts. Undo and redo go back and forth between the states, so every
-// edit is undone exactly. Somebody else's changes are no edits: they stay when an own edit is undone.
+// edit is undone exactly. Somebody else's changes are not edits: they stay when one's own edit is undone.
 
 import { merged } from "./merge.js";
 

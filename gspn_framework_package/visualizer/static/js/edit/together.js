@@ -107,7 +107,7 @@ export class Together {
     }
     const { files, opened } = this.mode;
     if (version && version !== opened.version && !(files.draft && version === files.draft.version))
-      files.follow().catch(() => {}); // the next message says it again
+      files.follow().catch(() => {}); // the next message repeats it
   }
 
   // -- what is shown ---------------------------------------------------------------------------------
