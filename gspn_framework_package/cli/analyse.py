@@ -124,7 +124,7 @@ def _run(args: argparse.Namespace) -> int:
     subject, notes = read_subject(args)
     questions = _questions(args, subject)
     limits, memory = limits_of(args), memory_of(args)
-    if args.query:  # loaded for these alone, since most analyses need no proofs
+    if args.query:  # imported only here, since most analyses need no proofs
         from gspn_framework_package.cli.queries import answer_queries
 
         return answer_queries(args, subject, notes, limits)
@@ -249,7 +249,7 @@ def _check_queries(args: argparse.Namespace, questions: Questions) -> None:
 
 
 def _asks_more(questions: Questions) -> bool:
-    """Whether something is asked that is not always answered."""
+    """Whether the questions go beyond those that every analysis answers."""
     always = questions._replace(structure=True, timing=True, symbolic=False)
     return always != Questions(rewards={})
 

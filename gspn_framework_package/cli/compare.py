@@ -150,7 +150,7 @@ def run(args: argparse.Namespace) -> int:
     plan = read_plan(args.plan)
     with open_executor(args.on) as executor, ProgressLine() as progress:
         if args.replay:
-            # here, because other comparisons need none of it
+            # imported here, because other comparisons do not need it
             from gspn_framework_package.cli.on_history import history_in_arguments, print_history
 
             mapping = read_mapping(args.map)

@@ -35,7 +35,7 @@ _CONFIDENCE = 0.95
 class PerHour(NamedTuple):
     """How many tasks the robots finish in an hour, or edges if they only drive.
 
-    :ivar how: how it was found out, in words.
+    :ivar how: how the number was computed, in words.
     """
 
     before: Estimate
@@ -49,7 +49,7 @@ class FreePlan(NamedTuple):
 
     :ivar before: whether every robot could always move again without the groups.
     :ivar groups: the groups that were added to the map for it.
-    :ivar answers: what was asked of the plan, of which some answer proves it.
+    :ivar answers: the answers about the plan, which together prove it.
     :ivar cost: None if no group was added.
     """
 
@@ -123,7 +123,8 @@ def deadlock_free(
     :param build: builds it with some further groups of mutual exclusion.
     :param robots: number of robots.
     :param seconds: the budget of each question (s).
-    :raises InputError: they still can, or it is not known, with all groups that would help.
+    :raises InputError: even with all groups that would help, robots can block each other, or this
+        is not decided.
     """
     made = build({})
     before = made.as_read()
@@ -157,7 +158,7 @@ def deadlock_free(
 def _groups(
     made: SitePlan, circles: List[WaitingCircle], capacities: List[int]
 ) -> Dict[str, MapGroup]:
-    """The groups that the plan does not have yet, with names that nothing in it has."""
+    """The groups that the plan does not have yet, with names that are new in it."""
     found: Dict[str, MapGroup] = {}
     number = 1
     for circle, capacity in zip(circles, capacities):
@@ -194,9 +195,9 @@ def _answers(
     moves: Answer,
     decide: Callable[[MarkingQuestion], Answer],
 ) -> List[Answer]:
-    """Whether every robot can always move again (``moves``); and where this is not decided, whether
-    there is a dead marking, and whether enough robots for a circle can rest where there could be
-    one."""
+    """Whether every robot can always move again (``moves``). If this is not decided: also whether a
+    dead marking can be reached, and whether enough robots to fill a circle can rest in its
+    nodes."""
     found = [moves]
     if moves.verdict in (PROVEN, VIOLATED):
         return found
@@ -209,8 +210,8 @@ def _answers(
 
 
 def _are_free(answers: List[Answer]) -> bool:
-    """Whether the answers say that no robots block each other: every one can move again, or
-    nothing contradicts it and the circles cannot come about."""
+    """Whether the answers say that no robots block each other: every robot can move again, or no
+    answer denies it and no circle can form."""
     if any(answer.verdict == VIOLATED for answer in answers):
         return False
     return answers[0].verdict == PROVEN or all(a.verdict == PROVEN for a in answers[2:])
@@ -260,7 +261,7 @@ def _cost(before: Plan, after: Plan, progress: Optional[Progress]) -> PerHour:
 def _analysed(plan: Plan, prefixes: Any, progress: Optional[Progress]) -> Estimate:
     analysis = Analysis(plan, limits=_CHAIN, progress=progress)
     if replaced_durations(analysis.space):
-        raise LimitError("its chain has other durations")
+        raise LimitError("its chain replaces durations")
     counted = [
         value for name, value in analysis.measures.throughput.items() if name.startswith(prefixes)
     ]

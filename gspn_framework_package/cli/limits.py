@@ -60,8 +60,8 @@ LIMIT_OPTIONS: Arguments = {
 PHASES_OPTION: Arguments = {
     Argument("--phases", "N", int): (
         "at most N exponential phases for each duration of a plan (default: as many as make about "
-        "100,000 states, or --limit if that is less; all that are needed where they make no "
-        "states); docs/analysis.md"
+        "100,000 states, or --limit if that is less; all that are needed if they add no states); "
+        "docs/analysis.md"
     ),
 }
 
@@ -93,7 +93,7 @@ def limits_of(args: argparse.Namespace) -> Limits:
 def check_phases(args: argparse.Namespace, subject: object, takes: bool = True) -> None:
     """Check the option ``--phases``.
 
-    :param takes: whether anything is done that depends on it.
+    :param takes: whether the verb does anything that depends on it.
     :raises UsageError: it does not apply.
     """
     if args.phases is not None and not (takes and isinstance(subject, Plan)):

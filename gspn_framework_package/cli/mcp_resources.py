@@ -1,5 +1,5 @@
 """The resources of ``gspn mcp``: what its client may read, each with an address. They are the
-plans, nets and logs of the folder, and the documents of this package where they are there."""
+plans, nets and logs of the folder, and the documents of this package if they are installed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _BINARY = (".bag",)
 
 def documents_folder() -> str:
     """The folder of the documents: beside this package in a checkout, or in its share folder where
-    it is installed; "" if they are not there."""
+    it is installed; "" if there are none."""
     package = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
     share = share_folder()
     candidates = (os.path.join(os.path.dirname(package), "docs"), os.path.join(share, "docs"))

@@ -90,7 +90,7 @@ _AIM = ("reward", "mean-time-to", "cost-to", "reach", "discount", "minimise")
 _EFFORT = ("limit", "limit-tree", "limit-structure")
 
 OTHER_NAMES = {"may-wait": "may_wait_in"}
-"""Option -> its name as a field, where that is another one: ``may_wait`` is the time of a call."""
+"""Option -> its name as a field, where the two differ: ``may_wait`` is the time of a call."""
 
 _MARKING = map_to({"type": "integer"})
 _FINDING = {"check": TEXT, "severity": TEXT, "text": TEXT}
@@ -295,7 +295,7 @@ WITHHELD = {
     **dict.fromkeys(("help", "debug", "json"), "of the command line only"),
     **dict.fromkeys(("csv", "log", "certificate", "output", "force"), "writes files"),
     **dict.fromkeys(("memory", "scratch"), "fills the disk"),
-    **dict.fromkeys(("on", "modules"), "whoever starts the server decides where what is computed"),
+    **dict.fromkeys(("on", "modules"), "whoever starts the server decides where to compute"),
     **dict.fromkeys(("limit-time", "limit-memory"), "limits of the server"),
     "against": "a path: a separate field",
     **dict.fromkeys(("example", "list"), "resources and list_plans have it"),

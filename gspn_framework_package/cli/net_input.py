@@ -42,14 +42,14 @@ READING_OF_NETS: Arguments = {
 
 RATES_OPTION: Arguments = {
     choice("--rates", (FITTED, NOMINAL), FITTED): (
-        "of a plan: what was learned from runs counts (default), or the rates of its net's file do"
+        "for a plan: use what was learned from runs (default), or the rates in its net's file"
     ),
 }
-"""Which times of a plan count."""
+"""Which times of a plan to use."""
 
 _SUBJECT: Arguments = {
     "--only-net": "analyse a plan's net by its weights instead of the policy",
-    Argument("--robots", "N", numbers.robots): "of a plan: for a team of N robots",
+    Argument("--robots", "N", numbers.robots): "for a plan: assume a team of N robots",
     **RATES_OPTION,
 }
 

@@ -20,13 +20,13 @@ the spread of a single run."""
 
 @dataclass(frozen=True)
 class WholeNumbers:
-    """The whole numbers from ``least`` to ``most``. Called, it reads one from a text."""
+    """The whole numbers from ``least`` to ``most``. Calling it reads one from a text."""
 
     least: int
     most: int
 
     def __call__(self, text: str) -> int:
-        """Read a number. :raises ArgumentTypeError: it is none, or not one of these."""
+        """Read a number. :raises ArgumentTypeError: it is not one of these."""
         try:
             value = int(text) if len(text) <= 40 else None
         except ValueError:
@@ -41,14 +41,14 @@ class WholeNumbers:
 @dataclass(frozen=True)
 class RealNumbers:
     """The numbers from ``least`` (or, with ``above``, greater than ``above``) to ``most``, which
-    may be infinite; never NaN. Called, it reads one from a text."""
+    may be infinite; never NaN. Calling it reads one from a text."""
 
     least: float
     most: float
     above: Optional[float] = None
 
     def __call__(self, text: str) -> float:
-        """Read a number. :raises ArgumentTypeError: it is none, or not one of these."""
+        """Read a number. :raises ArgumentTypeError: it is not one of these."""
         try:
             value = float(text)
         except ValueError:

@@ -37,7 +37,8 @@ from gspn_framework_package.model.errors import LogError, UsageError
 from gspn_framework_package.model.plan import Plan
 
 _WINDOWS = 30
-"""Parts of the time of all runs, if there are fewer runs, from whose spread intervals follow."""
+"""If there are fewer runs, their time is divided into this many parts, and the intervals are
+computed from the spread of the parts."""
 
 _PATIENCE = 10.0
 """A run that ends by a condition may take this many times as long as the recorded one."""
@@ -307,7 +308,7 @@ def _fitted(plan: Plan, names: PlanNames, report: FitReport) -> Plan:
             continue
         leaving = {net.transitions[t].name for t in net.consumers[net.place_index[place]]}
         outcomes = {names.new(t) if t else t: o for t, o in found.outcomes.items()}
-        # the plan keeps its own if it lacks one of them, or has one name for two
+        # the plan keeps its own outcomes if it lacks one of these, or has the same name for two
         known = all(not t or t in leaving for t in outcomes)
         known = known and len(outcomes) == len(found.outcomes)
         places[place] = found._replace(outcomes=outcomes if known else {})

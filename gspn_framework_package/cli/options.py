@@ -11,7 +11,7 @@ from gspn_framework_package.execution.plan_modules import names_of
 class Argument:
     """An argument of a verb that has a value.
 
-    :param names: ``"-o --output"``, or without a dash for an argument that is given by its place.
+    :param names: ``"-o --output"``, or without a dash for a positional argument.
     :param kind: reads the value from a text.
     :param more: other settings of ``argparse.ArgumentParser.add_argument``.
     """

@@ -44,7 +44,8 @@ class OrderVerb(NamedTuple):
         return self
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declare the arguments of the verb: what is required is one, what is not an option."""
+        """Declare the arguments of the verb: a required field is an argument, any other an
+        option."""
         from gspn_framework_package.cli.team_client import TEAM_OPTIONS
 
         for field in self.order.fields:

@@ -35,11 +35,11 @@ def questions_about(
 ) -> List[MarkingQuestion]:
     """Questions about all markings of a net or plan.
 
-    :param never: conditions that are never to hold.
-    :param always: conditions that are always to hold.
-    :param apart: patterns of the names of places that are never to hold two tokens.
+    :param never: conditions that must never hold.
+    :param always: conditions that must always hold.
+    :param apart: patterns of the names of places that must never hold two tokens.
     :param at_most: patterns of such names, each with the most tokens (``At_*=2``).
-    :param never_fires: transitions that are never to fire.
+    :param never_fires: transitions that must never fire.
     :param returns: conditions that can be reached from every marking.
     :param ends: also ask whether a plan can end from every marking.
     :param moves: also ask whether every robot can move again from every marking.

@@ -62,7 +62,7 @@ def _text(answers: List[QueryAnswer], timing: Mapping[str, Any]) -> Iterator[str
         yield query_text(answer)
     sources = dict.fromkeys(source for answer in answers for source in answer.interval_sources)
     if sources:
-        yield "    the intervals hold that %s" % " and ".join(sources)
+        yield "    the intervals take into account that %s" % " and ".join(sources)
     for assumption in timing.get("assumptions", ()):
         yield "    assumed: %s" % assumption
 

@@ -1,4 +1,4 @@
-"""``gspn room``: makes a room for simulated robots of a map, or of a world of Gazebo."""
+"""``gspn room``: makes a room for simulated robots from a map or a Gazebo world."""
 
 from __future__ import annotations
 

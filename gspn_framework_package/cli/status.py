@@ -100,7 +100,7 @@ def data_lines(status: Dict[str, Any]) -> List[str]:
 
 
 def order_lines(statuses: Sequence[Dict[str, Any]]) -> List[str]:
-    """The last orders to the robots and their givers, a line for each."""
+    """The last orders to the robots and who gave them, a line for each."""
     given = [order for status in statuses for order in status.get("orders", ())]
     return [
         "%s  %s" % (time.strftime("%H:%M:%S", time.localtime(order["wall"])), order_text(order))

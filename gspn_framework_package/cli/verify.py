@@ -15,7 +15,7 @@ from gspn_framework_package.execution.verifier import Verdict, Violation, verify
 OPTIONS: Arguments = {
     Argument("logs", "LOG", nargs="+"): (
         "event logs of one run, or a folder of them; or one file with proofs (gspn check "
-        "--certificate), which are held against the plan as it is now"
+        "--certificate), which are checked against the plan as it is now"
     ),
     "--settled": (
         "nothing was pending at the end of the run, so that a proposal missing from the log is a "
