@@ -77,7 +77,7 @@ def _wrong_results() -> ContextManager[Any]:
 
 MUTANTS: List[Mutant] = [
     Mutant("late writes", "host", "records are written after the messages went out", _writes_late),
-    Mutant("two goals", "host", "a goal now and then goes out twice", _starts_goals_twice),
+    Mutant("two goals", "host", "now and then a goal is sent twice", _starts_goals_twice),
     Mutant(
         "early goals", "host", "a restarted robot acts before the team knows", _acts_before_joining
     ),

@@ -462,7 +462,7 @@ MUTANTS: List[Mutant] = [
     Mutant(
         "numbers only",
         "memory",
-        "proposals count by their number, whatever life they are of",
+        "proposals are told apart by their number alone, not by the life of their robot",
         _numbers_only,
     ),
     Mutant(
@@ -483,7 +483,7 @@ MUTANTS: List[Mutant] = [
     Mutant(
         "own sleep",
         "membership",
-        "who was suspended takes the others to have been silent",
+        "a robot that was suspended assumes that the others were silent",
         _counts_its_own_sleep,
         kinds=("sleep",),
     ),
@@ -497,14 +497,14 @@ MUTANTS: List[Mutant] = [
     Mutant(
         "newest first",
         "limits",
-        "a batch keeps the newest proposals where it is full",
+        "a full batch keeps the newest proposals",
         _newest_first,
         kinds=("tight",),
     ),
     Mutant(
         "off for ever",
         "operator",
-        "an assertion that a robot is off outlives its return",
+        "an assertion that a robot is off stays in force after it returns",
         _off_for_ever,
         kinds=("operator",),
         seeds=("127:2:partial:operator",),
@@ -512,14 +512,14 @@ MUTANTS: List[Mutant] = [
     Mutant(
         "rest decides",
         "operator",
-        "a quorum of those who are left decides after an eviction by force",
+        "a quorum of the remaining robots decides after an eviction by force",
         _any_of_those_left,
         kinds=("operator",),
     ),
     Mutant(
         "decides and stays",
         "operator",
-        "without a quorum, a team decides slots that do not evict those who are said to be off",
+        "without a quorum, a team decides slots that do not evict the robots that are said to be off",
         _evicts_nobody,
         robots=2,
         kinds=("assertion",),
@@ -527,7 +527,7 @@ MUTANTS: List[Mutant] = [
     Mutant(
         "drops its slots",
         "memory",
-        "a robot whose place another log takes forgets the slots, also one that only it knows",
+        "a robot whose place another log takes forgets the slots, even one that only it knows",
         _drops_its_slots,
         transcript="another_log_let_in",
     ),
@@ -598,7 +598,7 @@ MUTANTS: List[Mutant] = [
     Mutant(
         "shrunken start",
         "membership",
-        "who begins without a log does not ask for the word of robots that are gone",
+        "a robot that begins without a log does not ask the robots that are gone",
         _asks_only_members,
         robots=2,
         kinds=("double",),
@@ -607,7 +607,7 @@ MUTANTS: List[Mutant] = [
     Mutant(
         "forgets cast out",
         "operator",
-        "who was evicted by force is forgotten in a restart",
+        "a restarted robot forgets who was evicted by force",
         _forgets_who_was_cast_out,
         robots=2,
         kinds=("operator",),
@@ -615,7 +615,7 @@ MUTANTS: List[Mutant] = [
     Mutant(
         "any log",
         "memory",
-        "votes count whatever log they are from",
+        "votes count from any log",
         _counts_any_log,
         kinds=("spare", "amnesia"),
     ),
@@ -636,7 +636,7 @@ MUTANTS: List[Mutant] = [
     Mutant(
         "no sync",
         "memory",
-        "nothing is waited for until it is on the disk",
+        "nobody waits until a record is on the disk",
         _never_waits_for_the_disk,
         kinds=("power",),
     ),
@@ -650,7 +650,7 @@ MUTANTS: List[Mutant] = [
     Mutant(
         "same id",
         "memory",
-        "a robot that forgot its log goes by the same id",
+        "a robot that forgot its log keeps the same id",
         _keeps_its_log_id,
         kinds=("power", "amnesia", "spare"),
     ),
@@ -679,7 +679,7 @@ MUTANTS: List[Mutant] = [
     Mutant(
         "low promise",
         "protocol",
-        "to accept a ballot does not promise it",
+        "a robot that accepts a ballot does not promise it",
         _keeps_promised_low,
         False,
         robots=5,
@@ -688,7 +688,7 @@ MUTANTS: List[Mutant] = [
     Mutant(
         "learns what it holds",
         "protocol",
-        "that a slot is chosen confirms whatever was accepted",
+        "news that a slot is chosen confirms any value that was accepted",
         _learns_what_it_holds,
         False,
         kinds=("rivals",),
@@ -724,7 +724,7 @@ MUTANTS: List[Mutant] = [
     Mutant(
         "blind learning",
         "protocol",
-        "slots are learnt whatever log they stand on",
+        "slots are learned whatever log they continue",
         _pulls_without_looking,
         kinds=("operator", ""),
     ),

@@ -68,7 +68,7 @@ MUTANTS: List[Mutant] = [
     Mutant(
         "enabling",
         "token game",
-        "inhibitor arcs and capacities are not looked at",
+        "inhibitor arcs and capacities are ignored",
         _forgets_inhibitors,
     ),
 ]
