@@ -403,8 +403,7 @@ class _OfPlan:
         return Atom(tuple((p, 1) for p in busy), 1)
 
     def _some_never_move(self) -> Tuple[Tuple[Formula, ...], Callable[[Marking], bool]]:
-        """The facts that some robot cannot leave its place now, and a function that says whether
-        one never can from a marking on."""
+        """Facts that a robot cannot leave now, and a test whether one can never leave again."""
         over = self._not_over()
         is_over: Optional[Formula] = FALSE
         if self._until is not None:
@@ -561,8 +560,8 @@ class _OfPlan:
 
     def _needs_decision(self, p: int) -> Formula:
         """A row is needed for a robot in place number ``p``: in a strict plan, wherever one of its
-        immediate transitions is enabled; in others, where two are, or only transitions among which
-        no weight decides."""
+        immediate transitions is enabled; in others, where two are, or only ones that no weight
+        decides."""
         net = self._net
         leaving = self._leaving(p)
         enabled = [All(guard(net, t)) for t in leaving]
@@ -595,8 +594,7 @@ def _without(formula: Formula, excluded: Formula) -> Formula:
 
 
 def _is_true(formula: Formula) -> bool:
-    """Whether a formula is always true. (Tuples of different kinds are equal if their items
-    are.)"""
+    """Whether a formula is always true. (Tuples of different kinds compare equal by item.)"""
     if isinstance(formula, Some):
         return any(map(_is_true, formula.parts))
     return isinstance(formula, All) and not formula.parts
