@@ -3,12 +3,12 @@ execution nodes."""
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict
+from typing import Any, Callable, Dict, Iterable, Tuple
 
 from gspn_framework_package.execution.actions import ActionContext, ActionResult, load_actions
 from gspn_framework_package.execution.commands import Command
-from gspn_framework_package.model.action import CommandAction
-from gspn_framework_package.model.errors import RefusedError
+from gspn_framework_package.model.action import ROS_KINDS, Action, CommandAction
+from gspn_framework_package.model.errors import PlanError, RefusedError
 from gspn_framework_package.model.plan import Plan
 
 LocalAction = Callable[[ActionContext], ActionResult]
@@ -23,6 +23,23 @@ LOCAL_KINDS: Dict[type, Callable[[Plan, Any], LocalAction]] = {
 
 ALLOW_IN_STANDALONE_RUN = "gspn run --allow-commands"
 """How the operator of a standalone run allows commands."""
+
+
+def refuse_ros(plan: Plan, bindings: Iterable[Tuple[str, Action]], hint: str) -> None:
+    """Refuse a plan with an action that needs ROS.
+
+    :param bindings: the places to look at, and their actions.
+    :param hint: how the operator can run it.
+    :raises PlanError: an action needs ROS.
+    """
+    for place, action in bindings:
+        if isinstance(action, ROS_KINDS):
+            raise PlanError(
+                "its action '%s' needs ROS" % action.label,
+                file=plan.file,
+                element="place '%s'" % place,
+                hint=hint,
+            )
 
 
 def refuse_commands(plan: Plan, how: str) -> None:

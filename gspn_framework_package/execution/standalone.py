@@ -60,10 +60,10 @@ from gspn_framework_package.execution.firing import (
 from gspn_framework_package.execution.ledger import Ledger
 from gspn_framework_package.execution.local_kinds import (
     ALLOW_IN_STANDALONE_RUN,
-    LOCAL_KINDS,
     LocalAction,
     load_local_actions,
     refuse_commands,
+    refuse_ros,
 )
 from gspn_framework_package.execution.log_entries import NOTHING
 from gspn_framework_package.execution.log_writer import EventLogWriter
@@ -71,13 +71,11 @@ from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import TeamState
 from gspn_framework_package.execution.token_game import Step, TokenGame, robots_in
 from gspn_framework_package.execution.worker_pool import WorkerPool
-from gspn_framework_package.model.action import FunctionAction
 from gspn_framework_package.model.errors import (
     DataError,
     ExecutionError,
     GspnError,
     InputError,
-    PlanError,
     RefusedError,
     UsageError,
 )
@@ -802,13 +800,8 @@ def _broke_off(error: BaseException) -> str:
 def _load_functions(plan: Plan) -> Dict[str, Dict[str, LocalAction]]:
     """Load the actions by agent and place; "" stands for agents without their own actions, and for
     agents created later."""
-    for place, action in plan.bindings():
-        if not (action is None or isinstance(action, (FunctionAction, *LOCAL_KINDS))):
-            raise PlanError(
-                "its action '%s' needs ROS" % action.label,
-                file=plan.file,
-                element="place '%s'" % place,
-                hint="run the plan with roslaunch, or bind the place to a function",
-            )
+    refuse_ros(
+        plan, plan.bindings(), "run the plan with roslaunch, or bind the place to a function"
+    )
     own = [r.name for r in plan.robots if r.actions]
     return {name: load_local_actions(plan, name) for name in ["", *own]}

@@ -210,6 +210,9 @@ ACTION_KINDS: Dict[str, Any] = {
 """The key in a plan file that only this kind has -> the kind. One that another package has added
 has its JSON Schema as ``FORM``."""
 
+ROS_KINDS = (ServerAction, ServiceAction, PublishAction, WaitAction)
+"""The kinds that can only be carried out on ROS."""
+
 
 def server_name(place: str) -> str:
     """Return the name of a place's action server: the name of the place, as far as ROS allows."""

@@ -12,7 +12,7 @@ from gspn_framework_package.analysis.preflight.report import (
     Severity,
     name_list,
 )
-from gspn_framework_package.model.action import CommandAction, FunctionAction
+from gspn_framework_package.model.action import ROS_KINDS
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.verdict import verdict
 
@@ -30,8 +30,7 @@ def check_all(plan: Plan, **options: Any) -> PreflightReport:
 def _look_at_types(plan: Plan) -> List[CheckItem]:
     """Report goals, requests, messages and conditions of actions that do not fit their types, if
     this shell has ROS."""
-    without_types = (FunctionAction, CommandAction, type(None))
-    if all(isinstance(action, without_types) for _, action in plan.bindings()):
+    if not any(isinstance(action, ROS_KINDS) for _, action in plan.bindings()):
         return []
     try:
         from gspn_framework_package.ros.action_kinds import look_at_actions

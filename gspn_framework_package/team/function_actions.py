@@ -6,18 +6,20 @@ from __future__ import annotations
 from typing import Any, Dict
 
 from gspn_framework_package.execution.local_kinds import (
-    LOCAL_KINDS,
     load_local_actions,
     refuse_commands,
+    refuse_ros,
 )
-from gspn_framework_package.model.action import FunctionAction
-from gspn_framework_package.model.errors import PlanError
 from gspn_framework_package.model.plan import Plan
 from gspn_framework_package.team.host import ReplicaHost
 from gspn_framework_package.team.job_runner import JobRunner
 from gspn_framework_package.team.jobs import Job, LocalJob
 
 _ALLOW = "gspn agent --allow-commands"
+
+_GIVE_FUNCTIONS = (
+    "run this robot with roslaunch, or give it a function for that place ('actions' of the robot)"
+)
 
 
 class FunctionActions(JobRunner):
@@ -45,18 +47,10 @@ class FunctionActions(JobRunner):
             return {}  # a witness votes, but has no token
         if not self._allow_commands:
             refuse_commands(plan, _ALLOW)
-        for place in plan.action_places:
-            action = plan.action(self._host.robot, place)
-            if not (action is None or isinstance(action, (FunctionAction, *LOCAL_KINDS))):
-                raise PlanError(
-                    "its action '%s' needs ROS" % action.label,
-                    file=plan.file,
-                    element="place '%s'" % place,
-                    hint="run this robot with roslaunch, or give it a function for that place "
-                    "('actions' of the robot)",
-                )
+        actions = {place: plan.action(self._host.robot, place) for place in plan.action_places}
+        refuse_ros(plan, actions.items(), _GIVE_FUNCTIONS)
         return {
-            place: LocalJob(plan, place, plan.action(self._host.robot, place), do, self._feedback)
+            place: LocalJob(plan, place, actions[place], do, self._feedback)
             for place, do in load_local_actions(plan, self._host.robot).items()
         }
 

@@ -21,7 +21,13 @@ from gspn_framework_package.execution.actions import (
     no_feedback,
 )
 from gspn_framework_package.execution.commands import Command
-from gspn_framework_package.model.action import CommandAction
+from gspn_framework_package.execution.local_kinds import LOCAL_KINDS
+from gspn_framework_package.model.action import (
+    ACTION_KINDS,
+    ROS_KINDS,
+    CommandAction,
+    FunctionAction,
+)
 from gspn_framework_package.model.errors import DataError
 
 PYTHON = sys.executable
@@ -154,6 +160,10 @@ def test_a_command_that_is_cancelled_before_it_begins_ends_at_once():
 
 
 # -- in a standalone run
+
+
+def test_every_kind_of_action_runs_on_ros_or_without():
+    assert {*ACTION_KINDS.values()} == {FunctionAction, *LOCAL_KINDS, *ROS_KINDS}
 
 
 def write_plan(folder: Path, command, **more) -> str:
