@@ -185,7 +185,7 @@ class _Builder:
         self._zones = self._limited()
         """Resource place -> the location whose robots it limits."""
         self._arrivals: Dict[Tuple[str, str, str], List[str]] = {}
-        """Edge and suffix -> where robots come to at the end of the edge."""
+        """Edge and suffix -> the places that robots enter at the end of the edge."""
 
     def _limited(self) -> Dict[str, MapGroup]:
         tasks, found = self._tasks, {}

@@ -386,7 +386,7 @@ class _Compiler:
             count = min(len(rule.delays), MOST_RETRIES, count)
             if failure**rule.times > _NEVER:
                 self._assumptions.append(
-                    "robots in %s try again without end (in a run %d times)"
+                    "robots in %s try again for ever (in a run, %d times)"
                     % (self._net.places[p].name, rule.times)
                 )
             if count < len(rule.delays):

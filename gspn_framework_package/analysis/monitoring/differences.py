@@ -39,8 +39,8 @@ class Ratio(NamedTuple):
 
 
 class Difference(NamedTuple):
-    """A measure of both plans, with the 95 % interval from ``low`` to ``high`` of new minus old.
-    The values are None where a plan does not have the measure, and the interval where one is."""
+    """A measure of both plans, with the 95 % interval from ``low`` to ``high`` of new minus old. A
+    value is None if its plan does not have the measure; then so is the interval."""
 
     name: str
     unit: str

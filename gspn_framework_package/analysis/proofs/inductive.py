@@ -1,9 +1,10 @@
 """Inductive invariants: z3 searches for them, and the prover shows what z3 says of them.
 
 z3 (Spacer) is asked whether a bad marking can be reached, with priorities and the policy as
-inequalities. "No" comes with inequalities that hold at the start and are kept by every firing, one
-because of the others. Each becomes a lemma of a certificate, with a proof for every transition by
-which it is not plainly kept. "Yes" comes with firings, which somebody has to play.
+inequalities. "No" comes with inequalities that hold at the start and that every firing keeps, each
+with the help of the others. Each becomes a lemma of a certificate, with a proof for every
+transition that does not obviously keep it. "Yes" comes with firings, which the caller has to
+replay.
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ _NARROW = 512
 such a round."""
 
 _STRIDE = 1 << 18
-"""In such rounds, number of new states between two checks of the watch."""
+"""Number of new states between two checks of the watch inside compiled code."""
 
 _CORES = 8
 """More cores do not help, since entering waits for all of them, and they wait for it."""
