@@ -200,7 +200,7 @@ class _Imagined(TreeSteps):
         ]
 
     def restore(self, state: List[Dict[str, Any]]) -> None:
-        """Give all nodes the state that they had."""
+        """Restore the state of all nodes."""
         for node, values in zip((*self.inner.values(), *self.leaves.values()), state):
             vars(node).update(values)
         self.begin_again()

@@ -17,7 +17,7 @@ LOOK_EVERY = 0.05
 
 
 _NAP = 0.01
-"""The same where a function sleeps."""
+"""Seconds between two readings while a function sleeps."""
 
 STANDS_AFTER = 5.0
 """Seconds without a step after which simulated time is said to stand still."""

@@ -216,7 +216,7 @@ class StandaloneRun(Activity, Listener):
             team, game = self._executor.state, self._executor.game
             why = game.why_not_given_back(team, team.tasks_with(str(about))[0])
         if command == "submit" and (values["until"] or values["at"]):
-            why = "a run on this server takes no task that has a time to come in, or to be late"
+            why = "a run on this server takes no task with a time to come in or a time limit"
         if command == "submit" and values["to"] and not why:
             why = self._executor.game.why_not_to(values["transition"])
             if values["to"] not in self._executor.state.robots:

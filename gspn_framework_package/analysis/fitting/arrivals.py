@@ -36,7 +36,7 @@ _MOST_VALUES = 20
 
 
 class ArrivalFit(NamedTuple):
-    """What was learned of an arrival.
+    """What was learned about an arrival.
 
     :ivar seen: how many came.
     :ivar parts: the parts of the day that were compared; below 2: too little log for a test.
@@ -92,7 +92,7 @@ class Period(NamedTuple):
 
 
 class ArrivalsFit(NamedTuple):
-    """What was learned of all arrivals; ``day`` has the periods of a day, and none if no arrival
+    """What was learned about all arrivals; ``day`` has the periods of a day, and none if no arrival
     changes. ``notes`` are for people."""
 
     arrivals: Mapping[str, ArrivalFit] = {}

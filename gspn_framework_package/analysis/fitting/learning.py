@@ -120,7 +120,7 @@ class FitReport(NamedTuple):
     :ivar robot_seconds: how long robots were recorded, all together (s).
     :ivar own: robot -> key of the plan file -> place -> the results for that robot alone, where
         robots differ.
-    :ivar arrivals: what is learned of arrivals over the day.
+    :ivar arrivals: what is learned about arrivals over the day.
     """
 
     places: Mapping[str, PlaceFit]
@@ -305,7 +305,7 @@ class _Learning:
     def _own(
         self, learned: Mapping[str, _OfPlace], clear: float
     ) -> Dict[str, Dict[str, Dict[str, PlaceFit]]]:
-        """What was learned of single robots, as in :class:`FitReport`, where they differ with a
+        """What was learned about single robots, as in :class:`FitReport`, where they differ with a
         p-value of at most ``clear``."""
         own: Dict[str, Dict[str, Dict[str, PlaceFit]]] = {}
         team = {robot.name for robot in self.plan.robots}

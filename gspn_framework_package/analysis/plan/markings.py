@@ -470,7 +470,7 @@ class PlanMarkings:
         return self._ways_with_losses.reached
 
     def nearest_first(self) -> Indices:
-        """The numbers of these states, those to which the fewest firings lead first."""
+        """The numbers of these states, ordered by the number of firings that lead to them."""
         states = np.flatnonzero(self.reached)
         return states[np.argsort(self._ways_with_losses.depth[states], kind="stable")]
 

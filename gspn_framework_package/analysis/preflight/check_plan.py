@@ -1,7 +1,7 @@
 """The check before any robot moves ("preflight"; thesis 4.3.5 and ``docs/semantics.md``).
 
 The structure is checked first, in milliseconds. Markings are visited only for the questions that it
-leaves open, up to a limit. Whether a run can get stuck is then put to a proof. Questions still open
+leaves open, up to a limit. Proofs then decide whether a run can get stuck. Questions still open
 after that are reported as not decided.
 """
 

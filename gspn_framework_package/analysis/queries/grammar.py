@@ -190,7 +190,7 @@ class _QueryParser(ConditionParser):
     def _within(self) -> Optional[float]:
         for other in ("<", ">", ">=", "=", "["):
             if self.token.kind == "operator" and self.token.text == other:
-                self.fail("only an upper bound of the time, <=, is supported, not '%s'," % other)
+                self.fail("only an upper bound on the time, <=, is supported, not '%s'," % other)
         return self._number() if self.take("<=") else None
 
     # -- states

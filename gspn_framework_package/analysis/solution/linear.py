@@ -261,7 +261,7 @@ def polished(
 
 
 def _in_order(matrix: Matrix, order: Indices) -> Tuple[Indices, Matrix]:
-    """The new place of each unknown, and the matrix with its unknowns in another order."""
+    """The new position of each unknown, and the matrix with its unknowns in another order."""
     place = np.empty(len(order), dtype=matrix.indices.dtype)
     place[order] = np.arange(len(order), dtype=place.dtype)
     matrix = matrix[order]

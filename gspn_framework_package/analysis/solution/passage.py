@@ -92,7 +92,7 @@ class Passing:
         return self._from_start(solution.values), solution.residual
 
     def bounded_probability(self, watch: Watch) -> Tuple[float, float]:
-        """The probability that the condition ever holds, and a bound of the error of its
+        """The probability that the condition ever holds, and a bound on the error of its
         computation.
 
         A solution x of ``e * h = b + M h`` that leaves the imbalance ``r = b + M x - e * x`` is

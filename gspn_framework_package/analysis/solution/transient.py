@@ -123,7 +123,7 @@ def transient(
 
 
 def truncation_and_rounding(chain: Chain, time: float) -> float:
-    """A bound of the error of a sum of probabilities at a ``time`` (s): of the terms of the Poisson
+    """A bound on the error of a sum of probabilities at a ``time`` (s): of the terms of the Poisson
     distribution that are omitted, before and when the distribution no longer changes, and of the
     rounding of each tick and of the weights."""
     ticks = _clock(chain) * time

@@ -188,7 +188,7 @@ class Cargo:
             self.outside.sort(key=lambda item: -item[1].priority)
 
     def due(self, entry: log_entries.TaskDue) -> None:
-        """Handle that the time of a task has come."""
+        """Handle the moment at which a task is to come in."""
         kind, t = self.find(entry.id)
         if kind != "outside":
             return

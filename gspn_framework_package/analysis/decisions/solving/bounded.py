@@ -184,7 +184,7 @@ class Bounded:
         return -share * value + high * float(longest[self._begin] @ self._shares)
 
     def _longest(self, chosen: Optional[Indices]) -> Optional[Floats]:
-        """An upper bound of the mean time until the end, of a policy or of the slowest one."""
+        """An upper bound on the mean time until the end, of a policy or of the slowest one."""
         model = self._model if chosen is None else self._model.taking(chosen)
         return slowest(
             model.earning(np.where(model.tangible[model.row_states], 1.0, 0.0)), self._watch

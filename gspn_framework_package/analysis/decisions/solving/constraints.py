@@ -206,7 +206,7 @@ class _Work:
         raise LimitError("the constraints were not decided with %d policies" % _ROUNDS)
 
     def _improve(self) -> Tuple[Floats, float]:
-        """Add columns until none is better: the prices, and an upper bound of the value."""
+        """Add columns until none is better: the prices, and an upper bound on the value."""
         upper = np.inf
         best_prices = np.zeros(len(self._bounds))
         for _ in range(_ROUNDS):
