@@ -196,7 +196,7 @@ class Colours:
         return [name for name in self._terms.variables if any(name in some for some in used)]
 
     def contents(self, identifier: str) -> Iterator[Tuple[str, int]]:
-        """The places that a place becomes: what is put after its name, and the tokens."""
+        """The places into which a place is unfolded: the suffix of the name, and the tokens."""
         place = self._places[identifier]
         tokens: Dict[Colour, int] = {}
         if place.marking is not None:

@@ -83,7 +83,7 @@ def one_phase_each(plan: Plan) -> Dict[str, float]:
 
 
 def no_time_if_tiny(plan: Plan, timing: PlanTiming) -> Dict[str, float]:
-    """``phases`` of :func:`compile_plan`: none for the durations that are tiny beside others."""
+    """``phases`` of :func:`compile_plan`: none for durations that are tiny compared with others."""
     durations = {plan.net.places[p].name: one.duration for p, one in timing.places.items()}
     longest = max((duration.mean for duration in durations.values()), default=0.0)
     return {name: 0.0 for name, one in durations.items() if is_tiny(one, longest)}
@@ -168,7 +168,7 @@ class _Compiler:
         name = self._net.places[p].name
         if self._phases.get(name) == 0:
             self._assumptions.append(
-                "the duration of %s (%s) was replaced by no time, since it is tiny beside others"
+                "the duration of %s (%s) counts as 0, since it is tiny compared with others"
                 % (name, team.duration.describe())
             )
             team = team._replace(duration=Duration.none())

@@ -536,7 +536,7 @@ def interface(version: str) -> Dict[str, Any]:
                     "name": HEADER,
                     "in": "header",
                     "required": True,
-                    # not a "const": generators of clients do not take one in a header
+                    # not a "const": client generators do not accept one in a header
                     "schema": {**TEXT, "default": "1"},
                     "description": "forms of other pages cannot send it",
                 }

@@ -323,7 +323,7 @@ class _Exactly:
         report.undecided.append(
             "whether another policy is better: the present one stays, since it is worth more than "
             "the best one found. The search lets robots that chance moves, and transitions of a "
-            "higher priority, go before those for which the policy decides; a run does not always"
+            "higher priority, move before those for which the policy decides; a run does not always"
         )
 
     def _add_choices(self, report: Report, own: TeamSolution) -> None:

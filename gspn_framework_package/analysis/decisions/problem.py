@@ -564,7 +564,7 @@ class DecisionProblem:
         raise RefusedError(
             "what the policy does at %s depends on what robots have drawn before"
             % self.named(team, state),
-            hint="gspn analyse and gspn simulate follow that",
+            hint="gspn analyse and gspn simulate take that into account",
         )
 
     def _check_chosen(self, policy: Policy, found: Mapping[str, Decider]) -> None:

@@ -49,7 +49,7 @@ class GuidedSearch:
         ]
 
     def go_on(self, watch: Watch) -> Optional[List[str]]:
-        """Search on: the names of transitions whose firings lead to a bad marking; None if none
+        """Continue the search: the transitions whose firings lead to a bad marking; None if none
         were found within the limits."""
         found = None
         with suppress(LimitError):  # the time is over

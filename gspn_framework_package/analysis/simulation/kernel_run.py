@@ -40,8 +40,8 @@ class KernelRun:
     def _hand_over(self) -> None:
         """Prepare what every run needs: the arguments of the kernel, and all arrays in one row.
 
-        The arguments are plain tuples: numba's cache on the disk could not be read where a class of
-        its types has been renamed since.
+        The arguments are plain tuples: numba's cache on disk cannot be read after a class among its
+        types has been renamed.
         """
         self.arguments: Tuple[Any, ...] = machine.plain_tuple((*self.arrays, self.state))
         self._to_reset = list(zip(machine.all_in(self.state), machine.all_in(self._fresh)))

@@ -111,7 +111,7 @@ def test_a_time_that_is_tiny_beside_the_others_takes_none(tmp_path, capsys):
     data = json.loads(printed.out)
     used = " ".join(data["timing"]["assumptions"])
     assert code == 0
-    assert "Short (deterministic, mean 1e-06 s) was replaced by no time, since it is tiny" in used
+    assert "Short (deterministic, mean 1e-06 s) counts as 0, since it is tiny" in used
     assert "mean 2 s) was replaced by phases of the same mean: Erlang with 28 phases, vari" in used
     low, high = data["intervals"]["steady_state.throughput"]["there"]
     assert low - 1e-6 <= 3 / (2.0 + 1e-6) <= high + 1e-6

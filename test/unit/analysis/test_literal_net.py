@@ -180,7 +180,7 @@ def test_conditions_that_no_arc_expresses(condition):
 @pytest.mark.parametrize(
     ("family", "seed", "number", "text"),
     [
-        ("policy_rows", 1, 32, "it has no weight, and goes before others"),
+        ("policy_rows", 1, 32, "it has no weight, and precedes others"),
         ("anything", 7, 8, "it moves robots without changing the marking"),
     ],
 )

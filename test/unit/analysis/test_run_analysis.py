@@ -646,7 +646,7 @@ def test_many_retries_are_retries_without_end():
     cycle = 1 / 0.7 + 0.3 / 0.7 * 0.5 + 2
     assert analysis.measures.throughput["go"] == pytest.approx(1 / cycle)
     ten = Analysis(workshop(FailureRule.retry(21), failures={"work": 0.9}))
-    assert any("try again without end" in said for said in ten.timing.assumptions)
+    assert any("try again for ever" in said for said in ten.timing.assumptions)
 
 
 def test_a_robot_whose_action_failed_for_good_stays():

@@ -46,7 +46,7 @@ function valueAt(points, x) {
 }
 
 /** Curves with the values under the pointer, or at a cursor that the arrow keys move. A drag zooms in, a double click
- * or Escape out. `element` can be filled again and again, and keeps what is zoomed. */
+ * or Escape out. `element` can be filled repeatedly, and keeps the zoom. */
 export class Chart {
   constructor() {
     this.svg = s("svg.plot", { viewBox: `0 0 ${W} ${H}`, role: "img", tabindex: "0" });

@@ -6,7 +6,7 @@ import { post } from "../api.js";
 import { mendButton } from "./mend.js";
 import { onlyMoved } from "./plan_document.js";
 
-const QUIET = 1000; // ms without an edit after which the state is checked: findings appear when the hand rests
+const QUIET = 1000; // ms without an edit after which the state is checked: findings appear when editing pauses
 const LISTED = 60; // findings listed per level
 const LEVELS = { error: "Error", warning: "Warning", note: "Note" };
 const RANK = { error: 3, warning: 2, note: 1 };
