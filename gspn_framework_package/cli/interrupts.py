@@ -33,6 +33,9 @@ class Interrupts:
     raised while the modules of the verb are imported, when there is nothing to clean up yet. Later,
     ``seen`` shows whether an interrupt may have caused an ImportError.
 
+    Python ignores exceptions in callbacks of C libraries and in destructors: while LLVM compiles,
+    every interrupt is handled in one. An interrupt that would be lost ends the program at once.
+
     :param then: the handler of interrupts afterwards.
     :ivar verb_has_begun: the caller sets it when the verb begins.
     :ivar seen: whether there was an interrupt after that.
@@ -43,18 +46,26 @@ class Interrupts:
         self.seen = False
         self.verb_has_begun = False
         self._on = False
+        self._hook = sys.unraisablehook
 
     def __enter__(self) -> Interrupts:
         # otherwise interrupts are ignored, or handled by a program that calls main()
         ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler
         if ours and threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGINT, self._on_interrupt)
-            self._on = True
+            self._on, self._hook = True, sys.unraisablehook
+            sys.unraisablehook = self._on_ignored
         return self
 
     def __exit__(self, *_: Any) -> None:
         if self._on:
             signal.signal(signal.SIGINT, self._then)
+            sys.unraisablehook = self._hook
+
+    def _on_ignored(self, ignored: Any) -> None:
+        if issubclass(ignored.exc_type, KeyboardInterrupt):
+            leave()
+        self._hook(ignored)
 
     def _on_interrupt(self, *_: Any) -> None:
         if not self.verb_has_begun:

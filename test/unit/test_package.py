@@ -765,19 +765,22 @@ def test_an_exception_is_one_message_and_an_exit_code(verb, capsys, outcome, cod
     assert "Traceback" not in errors
 
 
-# As a compiled module does that is interrupted while it imports another.
-INTERRUPTED_IMPORT = """
-import os, signal, sys
+# As a compiled module does that is interrupted while it imports another, or calls back.
+INTERRUPTED = """
+import ctypes, os, signal, sys
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it in the background
+
+def interrupted():
+    os.kill(os.getpid(), signal.SIGINT)
+    while True:  # until the signal is there
+        pass
 
 class Finder:
     def find_spec(self, name, path=None, target=None):
         if name == "library":
             try:
-                os.kill(os.getpid(), signal.SIGINT)
-                while True:  # until the signal is there
-                    pass
+                interrupted()
             except KeyboardInterrupt:
                 raise ImportError("library failed to import")
 
@@ -785,17 +788,18 @@ sys.meta_path.insert(0, Finder())
 from gspn_framework_package.cli import main, verify
 main.VERBS["verb"] = main.Verb("verb", "")
 sys.modules["verb"] = verify
-verify.run = lambda args: __import__("library")
+callback = ctypes.CFUNCTYPE(None)(interrupted)
+verify.run = lambda args: callback() if sys.argv[1] == "callback" else __import__("library")
 verify.add_arguments = lambda parser: __import__("library") if sys.argv[1] == "early" else None
 sys.exit(main.main(["verb"]))
 """
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("when", ["early", "late"])
-def test_an_interrupt_while_a_library_is_imported_is_no_fault(when):
+@pytest.mark.parametrize("when", ["early", "late", "callback"])
+def test_an_interrupt_in_a_library_is_neither_a_fault_nor_lost(when):
     process = subprocess.run(
-        [sys.executable, "-c", INTERRUPTED_IMPORT, when],
+        [sys.executable, "-c", INTERRUPTED, when],
         cwd=str(ROOT),
         env=clean_environment(),
         stderr=subprocess.PIPE,
