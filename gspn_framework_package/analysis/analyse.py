@@ -334,7 +334,7 @@ class Analysis:
         gone = {p for p, place in enumerate(self.net.places) if place.name not in net.place_index}
         counted = [tuple(arc for arc in row if arc[0] in gone) for row in self.net.outputs]
         asked = [self._parsed(condition) for condition in self._lump]
-        # a condition on a counter that is left out is searched for in the net with it
+        # the others name counters that are left out: they are searched for in the net that has them
         here = [
             parse_condition(condition.text, kept, ["deadlock"])
             for condition in asked

@@ -41,7 +41,8 @@ class RootError(Exception):
 
 
 class _Found(BaseException):
-    """Ends a function that would run its tree or machine. No ``except Exception`` catches it."""
+    """Raised to stop a function before it runs its tree or machine. No ``except Exception`` catches
+    it."""
 
     def __init__(self, root: Any) -> None:
         super().__init__()

@@ -1668,8 +1668,9 @@ def next_request(
 
 
 def draw_rival(urgency: int, count: int, random: Indices, numbers: Indices) -> int:
-    """Let ``count`` more requests of this urgency compete with those before: the number of the one
-    that is first now, at least ``count`` if none of these is."""
+    """Let ``count`` more requests of this urgency compete with the earlier ones, each with the same
+    chance. Returns which of the new requests is first now; ``count`` or more if an earlier one is
+    still first."""
     if urgency < numbers[URGENCY]:
         return count
     if urgency > numbers[URGENCY]:
@@ -2336,7 +2337,7 @@ class RaceArrays(NamedTuple):
     """A net as arrays."""
 
     sizes: Any
-    """Places, whether the condition asks for deadlocks."""
+    """The number of places; 1 if the condition asks for deadlocks, otherwise 0."""
     net: Any
     effect_from: Any
     effects: Any

@@ -134,8 +134,8 @@ def bounds_of(
 
 
 def uncovered_place(net: Net) -> Optional[str]:
-    """A place that is in no P-invariant, if that is evident without a search; None leaves it
-    open."""
+    """A place that is in no P-invariant, if that is evident without a search. None: there may be
+    such a place or not."""
     lost = _Elimination(_place_columns(net), Effort(_ALL)).lost
     return net.places[min(lost)].name if lost else None
 

@@ -20,15 +20,16 @@ const BLURRED = 3; // the drawing of a large net is stretched up to this factor 
 const limited = (k) => Math.min(NEAREST, Math.max(FARTHEST, k));
 
 export class Camera {
-  /** `view`: the net view. Its `moving` layers get the transform at which they are drawn, and the sheets that contain
-   * them the rest: in a large net, only these move until the view rests, as its layers take long to draw. */
+  /** `view`: the net view. Its `moving` layers have the transform at which they were last drawn; the sheets that contain
+   * them have the difference to the present one. A large net takes long to draw, so only the sheets move until the view
+   * rests. */
   constructor(view) {
     this.view = view;
     this.dirty = false; // whether the transform has changed since it was drawn
     this.fitted = false;
     this.small = false;
     this.now = null; // {k, x, y}: zoom, and where the origin of the net is in the container (px)
-    this.drawn = null; // the same, as the layers are drawn
+    this.drawn = null; // the `now` at which the layers were last drawn
     this.around = undefined; // px around the container in which they are drawn
     this.minimap = new Minimap(this);
     this.observer = new ResizeObserver(() => this.resized());
