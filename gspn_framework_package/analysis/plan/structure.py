@@ -142,8 +142,8 @@ class PolicyCover:
         self._plan = plan
         self._table = plan.policy.bind(plan.net)
         self._robots = max(len(plan.robots), plan.team_size)
-        # the rows that constrain at most one place: only those can match whatever the other counts
-        # are contain
+        # the rows that constrain at most one place: only those can match whatever the counts of the
+        # other places are
         self._few_cells = {
             number: [(p, c) for p, c in zip(plan.policy.places, row.counts) if c is not None]
             for number, row in enumerate(plan.policy.rows)
