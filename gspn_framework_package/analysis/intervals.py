@@ -16,6 +16,7 @@ each duration, relative to their mean, is added.
 from __future__ import annotations
 
 import math
+import re
 from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Tuple
 
 import numpy as np
@@ -41,6 +42,8 @@ _FEWEST_DRAWS, _MOST_DRAWS, _DRAWN_STATES = 8, 40, 120_000
 """Least and most draws of learned values, and about how many states all draws may visit
 together."""
 
+_DISTRIBUTION = "token_distribution"
+
 _MANY_STATES = (
     "how short the logs are is left out: with one phase for each duration there are more than "
     "%s states" % format(_DRAWN_STATES // _FEWEST_DRAWS, ",")
@@ -64,8 +67,8 @@ class HalfWidths(NamedTuple):
 
     @property
     def notes(self) -> List[str]:
-        """What they hold, and what not: sentences for people."""
-        held = "the half widths hold that %s" % " and ".join(self.sources)
+        """What they take into account, and what not: sentences for people."""
+        held = "the intervals take into account that %s" % " and ".join(self.sources)
         return [*([held] if self.sources else []), *filter(None, [self.left_out])]
 
 
@@ -110,7 +113,7 @@ def half_widths(
 
 
 def expected(analysis: Analysis) -> HalfWidths:
-    """What the intervals of an analysis will hold, and no widths yet."""
+    """What the intervals of an analysis will take into account; no widths yet."""
     plan, space = analysis.plan, analysis.space
     found = HalfWidths({}, [])
     if plan is None or not isinstance(space, PlanSpace) or not space.complete or space.refusal:
@@ -183,13 +186,30 @@ def steady_intervals(analysis: Analysis) -> Tuple[SteadyIntervals, List[str]]:
     return values, found.notes
 
 
+Ends = Dict[str, Dict[str, Optional[List[float]]]]
+"""What answers are of -> name -> the ends of the interval; None: not known."""
+
+
+def ends_of(here: AnswerTables, found: HalfWidths) -> Ends:
+    """The ends of the intervals of answers."""
+    return {
+        key: {name: _ends(key, name, v, found.widths[key][name]) for name, v in table.items()}
+        for key, table in here.items()
+    }
+
+
 def add_intervals(
-    analysis: Analysis, data: Dict[str, Any], timed: Callable[[Analysis], Dict[str, Any]]
+    analysis: Analysis,
+    data: Dict[str, Any],
+    timed: Callable[[Analysis], Dict[str, Any]],
+    before: Callable[[Dict[str, Any]], None],
 ) -> None:
     """Add to a report the ``intervals`` of its answers about time, with ``interval_sources``: what
-    they take into account, in words for people.
+    they take into account, in words for people. What they leave out is one of its assumptions.
 
     :param timed: that part of the report of another analysis.
+    :param before: receives the report before the intervals, which take longer, but with their
+        sources.
     """
 
     def answers(of: Analysis) -> AnswerTables:
@@ -199,13 +219,15 @@ def add_intervals(
         return _tables(there)
 
     here = _tables(data)
-    found = half_widths(analysis, here, answers)
-    if found.sources:
-        data["interval_sources"] = found.sources
-        ends = {
-            key: {name: _ends(name, v, found.widths[key][name]) for name, v in table.items()}
-            for key, table in here.items()
-        }
+    coming = expected(analysis) if here else HalfWidths({}, [])
+    if coming.sources:
+        data["interval_sources"] = coming.sources
+    if coming.left_out:
+        assumed = [*data["timing"]["assumptions"], coming.left_out]
+        data["timing"] = {**data["timing"], "assumptions": assumed}
+    before(data)
+    if coming.sources:
+        ends = ends_of(here, half_widths(analysis, here, answers))
         data["intervals"] = {key: of.get("", of) for key, of in ends.items()}
 
 
@@ -216,6 +238,8 @@ def _tables(data: Mapping[str, Any]) -> AnswerTables:
     parts += [("transient.%d" % i, part) for i, part in enumerate(data.get("transient") or ())]
     for key, part in parts:
         found.update(("%s.%s" % (key, of), part[of]) for of in NODE_TABLES if of in (part or ()))
+        for place, shares in (part or {}).get("token_distribution", {}).items():
+            found["%s.%s.%s" % (key, _DISTRIBUTION, place)] = shares
         if part and "reward" in part:
             found[key] = {"reward": part["reward"]}
     for key, _ in titled(data, Part.TIMING):
@@ -253,10 +277,11 @@ def _changes(key: str, here: Mapping[str, float], there: Mapping[str, float]) ->
     }
 
 
-def _ends(name: str, value: float, half: float) -> Optional[List[float]]:
-    """The ends of an interval; None: there is none."""
+def _ends(key: str, name: str, value: float, half: float) -> Optional[List[float]]:
+    """The ends of an interval; None: it is not known."""
     if math.isinf(half):
         return None
-    low = value - half if name in ("", "reward") else max(value - half, 0.0)
-    chance = name == "probability" or name.startswith("within.")
+    reward = re.fullmatch(r"steady_state|transient\.\d+", key)
+    low = value - half if reward or name == "" else max(value - half, 0.0)
+    chance = name != "mean_time" if key.startswith("mean_time_to.") else _DISTRIBUTION in key
     return [low, min(value + half, 1.0) if chance else value + half]

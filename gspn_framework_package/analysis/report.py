@@ -139,8 +139,7 @@ def report(
         tolerance = questions.settling
         work.answer("time_to_steady_state", lambda: analysis.time_to_steady_state(tolerance))
     work.finish()
-    before_intervals(work.data)
-    add_intervals(analysis, work.data, lambda other: _timed(other, questions))
+    add_intervals(analysis, work.data, lambda other: _timed(other, questions), before_intervals)
     return work.data
 
 

@@ -55,7 +55,8 @@ def rows(data: Mapping[str, Any]) -> Iterator[Tuple[str, str, Any, Any, Any]]:
                 yield row("%s %s" % (title, measure), name, value, "%s.%s" % (key, measure))
         for place, counts in (part.get("token_distribution") or {}).items():
             for count, value in counts.items():
-                yield row("%s probability of %s tokens" % (title, count), place, value)
+                of = "%s.token_distribution.%s" % (key, place)
+                yield row("%s probability of %s tokens" % (title, count), place, value, of, count)
     for i, entry in enumerate(data.get("mean_time_to") or ()):
         if entry:
             key, condition = "mean_time_to.%d" % i, entry["condition"]

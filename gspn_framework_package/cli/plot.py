@@ -6,13 +6,14 @@ import argparse
 import logging
 import warnings
 from pathlib import Path
-from typing import Any, BinaryIO, List, Mapping, Optional, Sequence, Union
+from typing import Any, BinaryIO, Callable, List, Mapping, Optional, Sequence, Union
 
 import numpy as np
 
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.fitting import PlaceFit
 from gspn_framework_package.analysis.fitting.durations import kaplan_meier
+from gspn_framework_package.analysis.intervals import AnswerTables, ends_of, half_widths
 from gspn_framework_package.analysis.plan.space import replaced_durations
 from gspn_framework_package.analysis.watch import Cancel, Progress
 from gspn_framework_package.cli import numbers
@@ -114,12 +115,7 @@ def run(args: argparse.Namespace) -> int:
             only=args.only,
             condition=args.condition,
         )
-        replaced = replaced_durations(analysis.space)
-        if replaced:
-            figure.text(
-                0.01, 0.01, "durations are replaced by phases of the same mean", fontsize="x-small"
-            )
-            notes.extend(replaced)
+        notes.extend(replaced_durations(analysis.space))
         return figure
 
     save_picture(working(make, limits.memory), args.output)
@@ -223,7 +219,8 @@ def figure_of(
     only: Sequence[str] = (),
     condition: Optional[str] = None,
 ) -> Any:
-    """A figure of matplotlib.
+    """A figure of matplotlib. Where answers have intervals, they are bands around the curves, or
+    lines at the ends of the bars; a text says what they take into account, and where none is known.
 
     :param what: one of :data:`PLOTS`.
     :param time: end of the time axis (s); None: the time until the net has settled.
@@ -242,17 +239,43 @@ def figure_of(
         _distribution(axes, analysis, only)
         return figure
     end = time if time is not None else 1.2 * analysis.time_to_steady_state() or 1.0
-    times = np.linspace(0.0, end, points)
-    axes.set_xlabel("time [s]")
+    times = np.linspace(0.0, end, points).tolist()
     axes.set_xlim(0, end)
     if what == "passage":
         assert condition is not None
-        axes.plot(times, analysis.first_passage(condition, times.tolist()).within)
-        axes.set_ylabel("probability of %s until then" % condition)
-        axes.set_ylim(0, 1.02)
-        return figure
-    found = analysis.at(times.tolist())
-    series = [m.mean_tokens if what == "tokens" else m.throughput for _, m in found]
+        _passage(axes, analysis, condition, times)
+    else:
+        _over_time(axes, analysis, what, times, only)
+    return figure
+
+
+def _passage(axes: Any, analysis: Analysis, condition: str, times: List[float]) -> None:
+    def reached(of: Analysis) -> AnswerTables:
+        chances = of.first_passage(condition, times).within
+        return {"mean_time_to.0": {"within.%d" % i: v for i, v in enumerate(chances)}}
+
+    found = _Answers(analysis, reached)
+    (here,), (spans,) = found.here.values(), found.ends.values()
+    axes.plot(times, list(here.values()))
+    _band(axes, times, [list(spans.values())], "C0")
+    axes.set_xlabel("time [s]" + found.says)
+    axes.set_ylabel("probability of %s until then" % condition)
+    axes.set_ylim(0, 1.02)
+
+
+def _over_time(
+    axes: Any, analysis: Analysis, what: str, times: List[float], only: Sequence[str]
+) -> None:
+    of_nodes = "mean_tokens" if what == "tokens" else "throughput"
+    found = _Answers(
+        analysis,
+        lambda of: {
+            "transient.%d.%s" % (i, of_nodes): getattr(measures, of_nodes)
+            for i, (_, measures) in enumerate(of.at(times))
+        },
+    )
+    series, spans_of = list(found.here.values()), list(found.ends.values())
+    axes.set_xlabel("time [s]" + found.says)
     axes.set_ylabel("mean tokens" if what == "tokens" else "throughput [1/s]")
     curves = {
         name: np.array([values[name] for values in series])
@@ -262,6 +285,7 @@ def figure_of(
     for number, names in enumerate(groups):
         color, line = number % _COLORS, _LINES[number // _COLORS % len(_LINES)]
         axes.plot(times, curves[names[0]], color="C%d" % color, linestyle=line, label=_title(names))
+        _band(axes, times, [[at[name] for at in spans_of] for name in names], "C%d" % color)
     axes.set_ylim(bottom=-0.02 * axes.get_ylim()[1])  # keeps a curve of zeros visible
     # The legend is outside the plot; it has a line per group and wraps long names.
     axes.legend(
@@ -270,8 +294,40 @@ def figure_of(
         bbox_to_anchor=(1.0, 1.0),
         ncol=1 + (len(groups) - 1) // _ROWS,
     )
-    figure.set_size_inches(11 + 3 * ((len(groups) - 1) // _ROWS), max(5.0, 0.19 * _rows(groups)))
-    return figure
+    axes.figure.set_size_inches(
+        11 + 3 * ((len(groups) - 1) // _ROWS), max(5.0, 0.19 * _rows(groups))
+    )
+
+
+class _Answers:
+    """Answers to plot, with their intervals.
+
+    :ivar here: the answers.
+    :ivar ends: their intervals; None where there is none, or where it is not known.
+    :ivar says: what the intervals take into account, as further lines of the picture; empty if
+        there are none.
+    """
+
+    def __init__(self, analysis: Analysis, answers: Callable[[Analysis], AnswerTables]) -> None:
+        self.here = answers(analysis)
+        found = half_widths(analysis, self.here, answers)
+        self.ends = ends_of(self.here, found)
+        notes = found.notes
+        if any(None in table.values() for table in self.ends.values()):
+            notes.append("where no band or line is, it is not known")
+        if not found.sources:  # the answers are exact, or their intervals not known at all
+            self.ends = {key: dict.fromkeys(table) for key, table in self.here.items()}
+        self.says = "".join("\n" + note for note in notes)
+
+
+def _band(
+    axes: Any, times: Any, spans: Sequence[Sequence[Optional[Sequence[float]]]], color: str
+) -> None:
+    """Fill the intervals of curves that are drawn as one; None: it is not known."""
+    ends = np.array([[span or (np.nan, np.nan) for span in curve] for curve in spans])
+    low, high = ends[..., 0].min(axis=0), ends[..., 1].max(axis=0)
+    if not np.isnan(low).all():
+        axes.fill_between(times, low, high, color=color, alpha=0.2, linewidth=0)
 
 
 def alike(curves: Mapping[str, Any]) -> List[List[str]]:
@@ -303,17 +359,27 @@ def _rows(groups: Sequence[Sequence[str]]) -> int:
 
 
 def _distribution(axes: Any, analysis: Analysis, only: Sequence[str]) -> None:
+    answers = _Answers(
+        analysis,
+        lambda of: {
+            "steady_state.token_distribution." + place: {str(n): v for n, v in shares.items()}
+            for place, shares in of.measures.token_distribution.items()
+        },
+    )
     found = analysis.measures.token_distribution
     names = _chosen(list(found), only)
+    spans = [answers.ends["steady_state.token_distribution." + name] for name in names]
     most = max((n for name in names for n in found[name]), default=0)
     left = np.zeros(len(names))
     for count in range(most + 1):
         shares = np.array([found[name].get(count, 0.0) for name in names])
+        ends = np.array([of.get(str(count)) or (np.nan, np.nan) for of in spans])
         if shares.any():
-            axes.barh(names, shares, left=left, label="%d" % count)
+            off = None if np.isnan(ends).all() else abs(ends.T - shares)
+            axes.barh(names, shares, left=left, label="%d" % count, xerr=off, ecolor="0.3")
         left += shares
     axes.invert_yaxis()
-    axes.set_xlabel("probability in the steady state")
+    axes.set_xlabel("probability in the steady state" + answers.says)
     axes.legend(title="tokens", fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 

@@ -3,7 +3,7 @@ others."""
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 from gspn_framework_package.analysis.sweeps.sweep import Sweep, SweepPoint
 from gspn_framework_package.model.errors import UsageError
@@ -20,7 +20,7 @@ _UNITS = {"throughput": "throughput (1/s)", "mean_tokens": "mean tokens"}
 def sweep_figure(
     sweep: Sweep, points: Sequence[SweepPoint], wanted: Sequence[Tuple[str, str]]
 ) -> Any:
-    """A diagram for each measure, with the confidence intervals.
+    """A diagram for each measure, with the intervals.
 
     :raises UsageError: there are too many measures.
     """
@@ -41,10 +41,15 @@ def sweep_figure(
         axes.set_xlabel(first.name)
         axes.set_ylabel(_UNITS.get(measure, measure.replace("_", " ")))
         for number, (title, line) in enumerate(_lines(sweep, points, measure, name).items()):
+            unknown = [place[x] for x, _, half in line if half is None]
+            if unknown:
+                means = [mean for _, mean, half in line if half is None]
+                axes.plot(unknown, means, "o", fillstyle="none", color="0.3")
+                axes.set_xlabel("%s\n○: the interval is not known" % first.name)
             axes.errorbar(
                 [place[x] for x, _, _ in line],
                 [mean for _, mean, _ in line],
-                [half for _, _, half in line],
+                [half or 0.0 for _, _, half in line],
                 marker=".",
                 capsize=2,
                 label=title if title and number < _LINES else None,
@@ -59,13 +64,13 @@ def sweep_figure(
 
 def _lines(
     sweep: Sweep, points: Sequence[SweepPoint], measure: str, name: str
-) -> Dict[str, List[Tuple[Any, float, float]]]:
+) -> Dict[str, List[Tuple[Any, float, Optional[float]]]]:
     """Title -> (value of the first variation, mean, half width)."""
-    found: Dict[str, List[Tuple[Any, float, float]]] = {}
+    found: Dict[str, List[Tuple[Any, float, Optional[float]]]] = {}
     for point in points:
         if name in point.measures.get(measure, {}):
             mean, half = point.measures[measure][name]
             others = zip(sweep.variations[1:], point.values[1:])
             title = ", ".join("%s=%s" % (variation.name, value) for variation, value in others)
-            found.setdefault(title, []).append((point.values[0], mean, half or 0.0))
+            found.setdefault(title, []).append((point.values[0], mean, half))
     return found

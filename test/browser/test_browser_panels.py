@@ -1,5 +1,6 @@
 """The analysis panel, the input screen, and the page by keyboard alone."""
 
+import csv
 import re
 from dataclasses import replace
 
@@ -99,14 +100,47 @@ def test_durations_with_too_many_phases_have_answers_with_intervals(show_net, op
     page.keyboard.press("3")
     page.click("summary:has-text('How long until?')")
     page.fill("#an-passage", "Docked >= 1")
-    for question, title in (("Steady state", "Steady state"), ("Mean time", "How long until?")):
+    for question, title, where in (
+        ("Steady state", "Steady state", "In brackets"),
+        ("Mean time", "How long until?", "In brackets, and as a band"),
+    ):
         page.click("#analysis button:text-is('%s')" % question)
         page.wait_for_selector("#answers details:has-text('%s')" % title)
         analysed(page)
         text = page.inner_text("#answers")
-        assert "In brackets: the intervals of the answers, since durations are replaced." in text
+        why = "the intervals of the answers, since durations are replaced."
+        assert "%s: %s" % (where, why) in text
         assert re.search(r"\d\s\(\d[^)]*(–| to )\d", text)
         assert "was replaced by phases of the same mean: Erlang" in text
+    assert page.locator("#answers path.interval").count() == 1
+
+
+def test_curves_and_bars_show_their_intervals(show_net, open_page):
+    plan = read_plan("plans/rendezvous")
+    plan = replace(plan, durations={"Docked": Duration.deterministic(2.0)}).validate()
+    page = open_page(show_net(plan.net, plan).address)
+    page.keyboard.press("3")
+    page.click("summary:has-text('How does it evolve?')")
+    page.click("button:has-text('Tokens over time')")
+    analysed(page)
+    answers = page.locator("#answers")
+    answers.get_by_text("Bands: the intervals of the answers, since durations").first.wait_for()
+    for title in ("Mean tokens over time", "Distribution of tokens over time"):
+        chart = page.locator("#answers details:has(summary:text-is('%s')) .chart" % title)
+        chart.locator("path.interval").first.wait_for(state="attached")
+        chart.locator("svg.plot").focus()
+        for _ in range(10):
+            page.keyboard.press("ArrowRight")
+        assert re.search(r": \d\S* \(\d\S* to \d\S*\)", chart.locator(".chart-values").inner_text())
+        with page.expect_download() as saved:
+            chart.locator("button:text-is('CSV')").click()
+        with open(saved.value.path(), encoding="utf-8") as file:
+            heads = next(csv.reader(file))
+        assert heads[2:4] == [heads[1] + ", low", heads[1] + ", high"]
+    page.click("#analysis button:text-is('Steady state')")
+    page.wait_for_selector("#answers details:has-text('Steady state')")
+    analysed(page)
+    page.wait_for_selector("#answers svg.plot line.interval", state="attached")
 
 
 def test_the_run_net_of_a_plan_is_shown_with_what_its_nodes_stand_for(show_net, open_page):
@@ -246,7 +280,8 @@ def test_a_sweep_shows_its_points_and_a_plot_of_each_measure(show_net, open_page
     means = [float(row[2].split("±")[0]) for row in rows]
     assert abs(means[0] - 0.75) < 0.05 and means[0] < means[1] < means[2]
     assert page.locator("#answers svg.plot").count() == 2
-    assert page.locator("#answers svg.plot >> nth=0 >> path").count() == 2
+    for kind in ("path:not(.interval)", "path.interval"):
+        assert page.locator("#answers svg.plot >> nth=0 >> " + kind).count() == 2
     assert page.inner_text("#answers .key >> nth=0").split("●")[1].strip() == "rate:repair=3"
 
 

@@ -57,7 +57,8 @@ class SweepPoint(NamedTuple):
     :ivar values: a value for each variation.
     :ivar key: a digest of all that the measures depend on.
     :ivar replications: number of runs; 0: the measures are computed.
-    :ivar notes: what the half widths of computed measures hold: sentences for people.
+    :ivar notes: what the half widths of computed measures take into account: sentences for
+        people.
     """
 
     number: int

@@ -224,7 +224,7 @@ def test_half_widths_of_sweeps_hold_phases_and_logs(learned, tmp_path, capsys):
         assert main(["sweep", fitted, *asked, "--output", table]) == 0
         found = json.loads(capsys.readouterr().out)
         assert found["kept"] == kept
-        assert "the half widths hold that " + SOURCES in found["notes"]
+        assert "the intervals take into account that " + SOURCES in found["notes"]
         for point in found["points"]:
             pace = point["measures"]["throughput"]["there"]
             truth = point["values"]["robots"] / 3.0  # a round takes 3 s
@@ -269,7 +269,7 @@ def test_an_interval_that_was_not_computed_is_not_known(learned, monkeypatch):
     monkeypatch.setattr(intervals, "_DRAWN_STATES", 7 * 4)
     found, notes = steady_intervals(analysis)
     assert "how short the logs are is left out" in notes[1]
-    assert notes[0] == "the half widths hold that durations are replaced"
+    assert notes[0] == "the intervals take into account that durations are replaced"
 
     def refuse(other):
         raise LimitError("not solved")

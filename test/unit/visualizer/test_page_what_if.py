@@ -132,7 +132,7 @@ def test_the_exact_answer_for_a_learned_plan_says_how_far_off_it_may_be() -> Non
     of = {("durations", place): Evidence(40, ("a.jsonl",)) for place in times}
     learned = replace(plan, durations=times, evidence=of)
     first, last = exact_paces(learned, 60.0, lambda *_: None)
-    why = "the half widths hold that the logs that values were learned from are short"
+    why = "the intervals take into account that the logs that values were learned from are short"
     assert "half_widths" not in first and first["notes"] == last["notes"] == [why]
     fired = {name: half for name, half in last["half_widths"].items() if first["throughput"][name]}
     assert fired and all(half > 0 for half in fired.values())

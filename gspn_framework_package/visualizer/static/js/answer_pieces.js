@@ -29,10 +29,15 @@ export class AnswerPieces {
     return number(value);
   }
 
+  /** The ends of the interval of an answer; null if it has none. */
+  ends(result, key, name) {
+    const found = result.intervals?.[key];
+    return (Array.isArray(found) ? found : found?.[name]) ?? null;
+  }
+
   /** The interval of an answer, to follow its number; empty if it has none. */
   within(result, key, name, digits = 4, to = " to ") {
-    const found = result.intervals?.[key];
-    const ends = Array.isArray(found) ? found : found?.[name];
+    const ends = this.ends(result, key, name);
     if (!ends) return "";
     const [low, high] = ends.map((end) => rounded(end, digits));
     return ` (${low}${to}${high})`;
@@ -44,10 +49,14 @@ export class AnswerPieces {
     return [number(value), ends && h("div.muted", ends)];
   }
 
-  /** Why answers have intervals, if they have. */
+  /** Why answers have intervals, if they have; and which are not known. */
   whyIntervals(result, text = "In brackets: the intervals of the answers") {
-    const sources = result.interval_sources;
-    return sources && h("p.muted", `${text}, since ${sources.join(" and ")}.`);
+    const { interval_sources: sources, intervals } = result;
+    if (!sources) return null;
+    const since = `, since ${sources.join(" and ")}.`;
+    if (!intervals) return h("p.muted", `How far off the answers may be is not known yet${since}`);
+    const gaps = Object.values(intervals).some((of) => !of || Object.values(of).includes(null));
+    return h("p.muted", text + since + (gaps ? " Where none is shown, it is not known." : ""));
   }
 
   why(result, key) {
@@ -174,15 +183,17 @@ export class AnswerPieces {
     );
   }
 
-  /** Bars of the distribution of a place's token count; the user chooses the place. */
-  distribution(byPlace) {
+  /** Bars of the distribution of a place's token count; the user chooses the place. `endsOf(place, count)`: the interval
+   * of a probability. */
+  distribution(byPlace, endsOf = () => null) {
     const names = Object.keys(byPlace);
     if (!names.length) return null;
     const bars = (name) =>
       barPlot(
         Object.entries(byPlace[name])
           .filter(([, p]) => p > 5e-7)
-          .slice(0, 30),
+          .slice(0, 30)
+          .map(([count, p]) => [count, p, endsOf(name, count)]),
       );
     return [h("h3", "Distribution of tokens"), this.chosen("Place", names, bars)];
   }

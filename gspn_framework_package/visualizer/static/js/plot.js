@@ -45,6 +45,18 @@ function valueAt(points, x) {
   return y0 + ((x - x0) / (x1 - x0)) * (y1 - y0);
 }
 
+/** The stretches of a curve whose intervals `ends` ([low, high] or null for each point) are known: the lower and the
+ * upper side of each. */
+function bandsOf({ points, ends = [] }) {
+  const runs = [];
+  points.forEach(([x], i) => {
+    if (!ends[i]) return;
+    if (!ends[i - 1]) runs.push([[], []]);
+    runs.at(-1).forEach((side, bound) => side.push([x, ends[i][bound]]));
+  });
+  return runs;
+}
+
 /** Curves with the values under the pointer, or at a cursor that the arrow keys move. A drag zooms in, a double click
  * or Escape out. `element` can be filled repeatedly, and keeps the zoom. */
 export class Chart {
@@ -78,7 +90,8 @@ export class Chart {
     this.svg.onkeydown = (event) => this.key(event);
   }
 
-  /** `curves`: [{name, points: [[x, y], ...]}, ...]. `shape(svg)` is called after each drawing. */
+  /** `curves`: [{name, points: [[x, y], ...], ends}, ...]; `ends`, if there are any: the interval of each point as
+   * [low, high], null where it is not known. `shape(svg)` is called after each drawing. */
   show(curves, xName, shape = () => {}) {
     Object.assign(this, { curves, xName, shape });
     this.draw();
@@ -135,9 +148,12 @@ export class Chart {
     this.line?.remove();
     this.line = null;
     const said =
-      x === null ? [] : this.curves.map(({ name, points }) => [name, valueAt(points, x)]);
+      x === null ? [] : this.curves.map((c) => [c.name, valueAt(c.points, x), boundsAt(c, x)]);
     const known = said.filter(([, value]) => value !== null);
-    const texts = known.map(([name, value]) => `${name}: ${rounded(value, 4)}`);
+    const texts = known.map(
+      ([name, value, ends]) =>
+        `${name}: ${rounded(value, 4)}${ends ? ` (${ends.map((y) => rounded(y, 4)).join(" to ")})` : ""}`,
+    );
     this.values.textContent = x === null ? "" : [`${this.xName} ${short(x)}`, ...texts].join(" · ");
     if (x === null) return;
     const [from, to] = this.range;
@@ -150,10 +166,15 @@ export class Chart {
   csv() {
     const quoted = (text) => `"${String(text).replaceAll('"', '""')}"`;
     const xs = [...new Set(this.curves.flatMap(({ points }) => points.map(([x]) => x)))];
+    const cells = (curve, x) => [
+      valueAt(curve.points, x) ?? "",
+      ...(curve.ends ? (boundsAt(curve, x) ?? ["", ""]) : []),
+    ];
     const rows = xs
       .sort((a, b) => a - b)
-      .map((x) => [x, ...this.curves.map(({ points }) => valueAt(points, x) ?? "")]);
-    const heads = [this.xName, ...this.curves.map(({ name }) => name)].map(quoted);
+      .map((x) => [x, ...this.curves.flatMap((curve) => cells(curve, x))]);
+    const named = ({ name, ends }) => [name, ...(ends ? [`${name}, low`, `${name}, high`] : [])];
+    const heads = [this.xName, ...this.curves.flatMap(named)].map(quoted);
     return `${[heads, ...rows].map((row) => row.join(",")).join("\n")}\n`;
   }
 
@@ -161,7 +182,10 @@ export class Chart {
     const { curves, xName, svg: plot } = this;
     const [x0, x1] = this.range;
     const shown = curves.map(({ points }) => within(points, x0, x1));
-    const y1 = nice(Math.max(...shown.flat().map(([, y]) => y), 1e-9));
+    const bands = curves.map((curve) =>
+      bandsOf(curve).map((sides) => sides.map((side) => within(side, x0, x1))),
+    );
+    const y1 = nice(Math.max(...[...shown.flat(), ...bands.flat(3)].map(([, y]) => y), 1e-9));
     const px = (x) => LEFT + ((x - x0) / (x1 - x0)) * (W - LEFT - RIGHT),
       py = (y) => H - BOTTOM - (y / y1) * (H - BOTTOM - TOP);
     plot.replaceChildren();
@@ -187,12 +211,19 @@ export class Chart {
     plot.append(
       s("text", { x: (LEFT + W - RIGHT) / 2, y: H - 2, "text-anchor": "middle", text: xName }),
     );
+    const line = (points) =>
+      points
+        .map(([x, y], j) => `${j ? "L" : "M"}${px(x).toFixed(1)} ${py(y).toFixed(1)}`)
+        .join("");
+    bands.forEach((runs, i) =>
+      runs.forEach(([low, high]) => {
+        const path = s("path.interval", { d: `${line([...low, ...high.reverse()])}Z` });
+        path.style.fill = CURVES[i % CURVES.length];
+        plot.append(path);
+      }),
+    );
     shown.forEach((points, i) => {
-      const path = s("path", {
-        d: points
-          .map(([x, y], j) => `${j ? "L" : "M"}${px(x).toFixed(1)} ${py(y).toFixed(1)}`)
-          .join(""),
-      });
+      const path = s("path", { d: line(points) });
       path.style.stroke = CURVES[i % CURVES.length];
       plot.append(path);
     });
@@ -201,21 +232,33 @@ export class Chart {
   }
 }
 
+/** The interval of a curve at `x`; null where it is not known. */
+function boundsAt(curve, x) {
+  const found = bandsOf(curve).map((sides) => sides.map((side) => valueAt(side, x)));
+  return found.find(([low]) => low !== null) ?? null;
+}
+
 const short = (x) => rounded(x, 3);
 
 /** A chart of curves that is drawn once; as in `Chart.show`. */
 export const curvePlot = (curves, xName) => new Chart().show(curves, xName);
 
-/** `bars`: [[name, value from 0 to 1], ...]. */
+/** `bars`: [[name, value from 0 to 1, its interval as [low, high] if it has one], ...]. */
 export function barPlot(bars) {
   const row = 18,
     height = bars.length * row + 4;
   const plot = s("svg.plot", {
     viewBox: `0 0 ${W} ${height}`,
     role: "img",
-    "aria-label": bars.map(([name, value]) => `${name}: ${number(value)}`).join(", "),
+    "aria-label": bars
+      .map(([name, value, ends]) => {
+        const span = ends ? ` (${ends.map(number).join(" to ")})` : "";
+        return `${name}: ${number(value)}${span}`;
+      })
+      .join(", "),
   });
-  bars.forEach(([name, value], i) => {
+  const at = (share) => 40 + share * (W - 100);
+  bars.forEach(([name, value, ends], i) => {
     const y = i * row + 3;
     plot.append(s("text", { x: 34, y: y + 10, "text-anchor": "end", text: name }));
     const bar = s("rect", {
@@ -226,7 +269,10 @@ export function barPlot(bars) {
       rx: 2,
     });
     bar.style.fill = CURVES[0];
-    plot.append(bar, s("text", { x: 46 + value * (W - 100), y: y + 10, text: number(value) }));
+    const middle = y + row / 2 - 3;
+    const [from, to] = (ends ?? [value, value]).map(at);
+    plot.append(bar, s("text", { x: 6 + to, y: y + 10, text: number(value) }));
+    if (ends) plot.append(s("line.interval", { x1: from, x2: to, y1: middle, y2: middle }));
   });
   return plot;
 }

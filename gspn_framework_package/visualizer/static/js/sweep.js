@@ -7,6 +7,7 @@ const PLOTS = 8;
 const CURVES_SHOWN = 8;
 
 const estimate = ({ mean, half_width: half }) => {
+  if (half === null) return `${rounded(mean, 4)} ± ?`;
   return half ? `${rounded(mean, 4)} ± ${rounded(half, 2)}` : rounded(mean, 4);
 };
 
@@ -41,10 +42,12 @@ function sweepCurves(names, points, { measure, name }) {
       .slice(1)
       .map((other) => `${other}=${values[other]}`)
       .join(", ");
-    if (!curves.has(title)) curves.set(title, []);
-    curves.get(title).push([values[names[0]], found.mean]);
+    if (!curves.has(title)) curves.set(title, { name: title || name, points: [], ends: [] });
+    const { mean, half_width: half } = found;
+    curves.get(title).points.push([values[names[0]], mean]);
+    curves.get(title).ends.push(half === null ? null : [Math.max(mean - half, 0), mean + half]);
   }
-  return [...curves].map(([title, line]) => ({ name: title || name, points: line }));
+  return [...curves.values()];
 }
 
 /** The answer so far. `show`: the pieces of the other answers. */

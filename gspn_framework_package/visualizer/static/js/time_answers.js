@@ -62,7 +62,9 @@ export function steadyState(show, result) {
       flows.map(([name, value]) => [show.node(name), cell("throughput", name, value)]),
     ),
     show.whyIntervals(result),
-    show.distribution(steady.token_distribution),
+    show.distribution(steady.token_distribution, (place, count) =>
+      show.ends(result, `steady_state.token_distribution.${place}`, count),
+    ),
     states.length > 0 && [
       h("h3", "The most probable markings"),
       show.table(
@@ -147,6 +149,9 @@ export function transient(show, result) {
         [...shown].map((name) => ({
           name,
           points: found.map((entry) => [entry.time, entry.mean_tokens[name]]),
+          ends:
+            result.intervals &&
+            found.map((_, i) => show.ends(result, `transient.${i}.mean_tokens`, name)),
         })),
         "time (s)",
       ),
@@ -171,24 +176,24 @@ export function transient(show, result) {
     ),
   );
   draw();
-  const off = Object.entries(result.intervals ?? {})
-    .filter(([key]) => /^transient\.\d+\.mean_tokens$/.test(key))
-    .flatMap(([, table]) => Object.values(table))
-    .map((ends) => (ends ? (ends[1] - ends[0]) / 2 : 0));
-  const most = rounded(Math.max(...off), 2);
+  const why = () => show.whyIntervals(result, "Bands: the intervals of the answers");
   return [
+    show.section("Mean tokens over time", plot, why(), boxes),
     show.section(
-      "Mean tokens over time",
-      plot,
-      show.whyIntervals(result, `The curves may be off by up to ${most} tokens`),
-      boxes,
+      "Distribution of tokens over time",
+      distributionOverTime(show, result, order),
+      why(),
     ),
-    show.section("Distribution of tokens over time", distributionOverTime(show, found, order)),
   ];
 }
 
 /** The probability of each token count of a chosen place, over time. */
-function distributionOverTime(show, found, order) {
+function distributionOverTime(show, result, order) {
+  const found = result.transient;
+  const endsAt = (i, name, count) =>
+    count in found[i].token_distribution[name]
+      ? show.ends(result, `transient.${i}.token_distribution.${name}`, count)
+      : [0, 0];
   const draw = (name) => {
     const weight = new Map();
     for (const entry of found)
@@ -203,6 +208,7 @@ function distributionOverTime(show, found, order) {
     const curves = counts.map((count) => ({
       name: plural(Number(count), "token"),
       points: found.map((entry) => [entry.time, entry.token_distribution[name][count] || 0]),
+      ends: result.intervals && found.map((_, i) => endsAt(i, name, count)),
     }));
     return [curvePlot(curves, "time (s)"), show.key(curves.map((curve) => curve.name))];
   };
@@ -241,10 +247,21 @@ export function passage(show, result) {
           number(found.probability) + show.within(result, `mean_time_to.${i}`, "probability"),
         ],
       ]),
-      show.whyIntervals(result),
+      show.whyIntervals(
+        result,
+        `In brackets${found.within.length > 1 ? ", and as a band" : ""}: the intervals of the answers`,
+      ),
       found.within.length > 1 &&
         curvePlot(
-          [{ name: "probability", points: found.within.map((w) => [w.time, w.probability]) }],
+          [
+            {
+              name: "probability",
+              points: found.within.map((w) => [w.time, w.probability]),
+              ends:
+                result.intervals &&
+                found.within.map((_, n) => show.ends(result, `mean_time_to.${i}`, `within.${n}`)),
+            },
+          ],
           "within (s)",
         ),
     ]),
