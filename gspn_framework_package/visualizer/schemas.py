@@ -31,7 +31,7 @@ def or_null(schema: Schema) -> Schema:
 
 
 def map_to(schema: Schema) -> Schema:
-    """An object with any names, and such values."""
+    """An object with any names, and values of this schema."""
     return {"type": "object", "additionalProperties": schema}
 
 

@@ -44,7 +44,7 @@ class LoggedTask:
         self.at, self.every = times
         self.until = until
         self.came = 0
-        """How many like it have come in."""
+        """How many repetitions of it have come in."""
 
 
 class Cargo:
