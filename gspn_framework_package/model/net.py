@@ -17,7 +17,6 @@ from __future__ import annotations
 import math
 from functools import cached_property
 from typing import (
-    Collection,
     Dict,
     Iterable,
     List,
@@ -357,20 +356,18 @@ class Net:
         degree, servers = self.enabling_degree(marking, t), self.transitions[t].servers
         return degree if servers is None else min(degree, servers)
 
-    def require_numbers(self, what: str, of: Optional[Collection[int]] = None) -> None:
+    def require_numbers(self, what: str) -> None:
         """Require that no rate or weight depends on the marking.
 
         :param what: what cannot take one that does, for the message.
-        :param of: the numbers of the transitions that this is required of; None: of all.
         :raises RefusedError: one does.
         """
         for t, function in self.functions.items():
-            if of is None or t in of:
-                raise RefusedError(
-                    "its %s '%s' depends on the marking, which %s cannot take"
-                    % (_meaning(self.transitions[t]), function.text, what),
-                    element=_node_name(self.transitions[t]),
-                )
+            raise RefusedError(
+                "its %s '%s' depends on the marking, which %s cannot take"
+                % (_meaning(self.transitions[t]), function.text, what),
+                element=_node_name(self.transitions[t]),
+            )
 
     def value(self, marking: Sequence[int], t: int) -> float:
         """Return the rate (1/s, of one server) of the exponential transition ``t``, or the weight

@@ -52,11 +52,9 @@ class ZenohWatch:
             self._session.declare_subscriber(key_of(self._run, "*", "activity"), self._on_activity),
         ]
 
-    def ask_activity(self, seconds: float = 1.0) -> None:
+    def ask_activity(self) -> None:
         """Have every reachable robot report its activity again; the answers arrive like any other
-        activity. Returns when all have answered.
-
-        :param seconds: maximum time to wait for that.
+        activity. Returns when all have answered, at the latest after a second.
         """
         all_in = threading.Event()
         self._session.get(
@@ -64,9 +62,9 @@ class ZenohWatch:
             self._zenoh.handlers.Callback(self._on_reply, all_in.set),
             target=self._zenoh.QueryTarget.ALL,
             consolidation=self._zenoh.ConsolidationMode.NONE,
-            timeout=seconds,
+            timeout=1.0,
         )
-        all_in.wait(seconds)
+        all_in.wait(1.0)
 
     def close(self) -> None:
         """End the session."""

@@ -64,12 +64,9 @@ def _cylinder(name: str, mass: float, radius: float, length: float, z: float = 0
     }
 
 
-def robot_urdf(kind: RobotType, name: str = "robot") -> str:
-    """The URDF of a robot of that size.
-
-    :param name: of the robot.
-    """
-    text = '<?xml version="1.0"?>\n<robot name="%s">\n' % name
+def robot_urdf(kind: RobotType) -> str:
+    """The URDF of a robot of that size."""
+    text = '<?xml version="1.0"?>\n<robot name="robot">\n'
     text += '  <link name="base_footprint"/>\n'
     middle = BODY_BOTTOM + BODY_HEIGHT / 2 - BASE_HEIGHT
     text += _cylinder("base_link", kind.mass, kind.radius, BODY_HEIGHT, middle)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import time
-from typing import Callable
 
 from gspn_framework_package.analysis.preflight.check_plan import check
-from gspn_framework_package.analysis.preflight.report import PreflightReport
 from gspn_framework_package.model.errors import CancelledError, GspnError
 from gspn_framework_package.model.plan import Plan
 
@@ -22,32 +20,24 @@ MARKINGS_AT_LAST = 50
 reported."""
 
 
-def report_soon(
-    plan: Plan, standalone: bool = False, clock: Callable[[], float] = time.monotonic
-) -> PreflightReport:
-    """The findings of the check within :data:`CHECK_TIME`.
+def why_refused(plan: Plan, standalone: bool = False) -> str:
+    """The objections of the check, within :data:`CHECK_TIME`, to a plan that starts from the team's
+    present state; "" if there are none.
 
     :param standalone: whether transitions may create and destroy tokens, as in a run without ROS
         whose present plan does so.
-    :raises GspnError: the plan is not valid.
     """
-    deadline = clock() + CHECK_TIME
+    deadline = time.monotonic() + CHECK_TIME
     try:
-        return check(
-            plan,
-            standalone=standalone,
-            limit=CHECK_MARKINGS,
-            cancel=lambda: clock() > deadline,
-            seconds=0,
-        )
-    except CancelledError:
-        return check(plan, standalone=standalone, limit=MARKINGS_AT_LAST, seconds=0)
-
-
-def why_refused(plan: Plan, standalone: bool = False) -> str:
-    """The objections of the check to a plan that starts from the team's present state; "" if there
-    are none. The parameters are those of :func:`report_soon`."""
-    try:
-        return report_soon(plan, standalone).why
+        try:
+            return check(
+                plan,
+                standalone=standalone,
+                limit=CHECK_MARKINGS,
+                cancel=lambda: time.monotonic() > deadline,
+                seconds=0,
+            ).why
+        except CancelledError:
+            return check(plan, standalone=standalone, limit=MARKINGS_AT_LAST, seconds=0).why
     except GspnError as error:
         return str(error)

@@ -195,17 +195,16 @@ def _register_for_sure(entries: Sequence[MasterEntry]) -> None:
             time.sleep(RETRY_AFTER)
 
 
-def register_with_master(entries: Sequence[MasterEntry], timeout: float = 30.0) -> None:
+def register_with_master(entries: Sequence[MasterEntry]) -> None:
     """Register entries with the master, and connect subscribers among them to their publishers.
 
     :param entries: what to register.
-    :param timeout: seconds that each call may take.
-    :raises OSError: or another of :data:`MASTER_ERRORS`, the master does not answer.
+    :raises OSError: or another of :data:`MASTER_ERRORS`, the master does not answer for 30 s.
     """
     caller, uri = rospy.get_name(), rospy.get_node_uri()
     for begin in range(0, len(entries), CALLS):
         some = entries[begin : begin + CALLS]
-        calls = xmlrpc.client.MultiCall(master_proxy(timeout))
+        calls = xmlrpc.client.MultiCall(master_proxy(30.0))
         for entry in some:
             if entry.kind == Registration.PUB:
                 calls.registerPublisher(caller, entry.name, entry.detail, uri)

@@ -67,9 +67,9 @@ export class Actions {
   // -- adding --------------------------------------------------------------------------------------
 
   /** A new node of the kind "place", "timed" or "immediate". */
-  fresh(what, x, y, taken = new Set()) {
+  fresh(what, x, y) {
     const position = this.mode.canvas.toDocument(x, y);
-    const name = freeName(this.net, FIRST[what], taken);
+    const name = freeName(this.net, FIRST[what]);
     if (what === "place") return { name, position };
     this.after = what;
     return what === "timed" ? { name, timed: true, rate: 1, position } : { name, position };

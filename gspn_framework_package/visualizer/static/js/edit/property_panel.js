@@ -168,7 +168,7 @@ export class PropertyPanel extends PlanForm {
   }
 
   /** A number of the net, checked against the schema. */
-  netNumber(kind, list, key, absent, title, blank = { value: absent }) {
+  netNumber(kind, list, key, absent, title) {
     const part = this.schema.definitions.net.properties[LISTS[kind]].items.properties[key];
     const who = list.length === 1 && kind !== "arc" ? ` of ${list[0].name}` : "";
     return this.labelled(
@@ -177,8 +177,8 @@ export class PropertyPanel extends PlanForm {
         whole: [part.type].flat().includes("integer"),
         formula: [part.type].flat().includes("string"),
         check: (value) => problemOf(part, value, this.schema),
-        blank,
-        placeholder: blank.value === null ? "unlimited" : undefined,
+        blank: { value: absent },
+        placeholder: absent === null ? "unlimited" : undefined,
       }),
       part.description,
     );
