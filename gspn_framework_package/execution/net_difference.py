@@ -9,7 +9,7 @@ from gspn_framework_package.model.plan import Plan
 
 def net_difference(plan: Plan, other: Plan) -> str:
     """How the nets of two plans differ, in words; "" if they agree. Rates, weights and tokens may
-    differ: runs with different ones teach about the same actions."""
+    differ: runs with different ones still observe the same actions."""
     for what, one, two in (
         ("place", _places(plan), _places(other)),
         ("transition", _transitions(plan), _transitions(other)),

@@ -70,7 +70,7 @@ def best_form() -> KernelForm:
 
 
 class Machine:
-    """Decision diagrams, and the work on them that is going on.
+    """Decision diagrams, and the operation on them in progress.
 
     :param form: the form of the kernel.
     :param steps: the steps, of Python lists.
