@@ -26,7 +26,6 @@ class PlanFiles:
         self._place = os.path.dirname(plan_file)
         self._contents: Dict[str, bytes] = {}
         self._plan = plan
-        self._plan_file = plan_file
 
     def contents(self) -> Dict[str, bytes]:
         """Path relative to the plan -> content: all Python files in its folder and in packages
