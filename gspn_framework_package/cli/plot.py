@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import textwrap
 import warnings
 from pathlib import Path
 from typing import Any, BinaryIO, Callable, List, Mapping, Optional, Sequence, Union
@@ -36,6 +37,9 @@ _COLORS = 10
 """Number of colours in matplotlib's default cycle; further curves differ by line style."""
 
 _LINES = ("-", "--", "-.", ":")
+
+_TEXT_WIDTH = 70
+"""Characters in a line of text below a plot; the narrowest has room for so many."""
 
 _SAME = 1e-3
 """Curves that differ by at most this fraction of the height are drawn as one."""
@@ -317,7 +321,7 @@ class _Answers:
             notes.append("where no band or line is, it is not known")
         if not found.sources:  # the answers are exact, or their intervals not known at all
             self.ends = {key: dict.fromkeys(table) for key, table in self.here.items()}
-        self.says = "".join("\n" + note for note in notes)
+        self.says = "".join("\n" + textwrap.fill(note, _TEXT_WIDTH) for note in notes)
 
 
 def _band(
@@ -379,6 +383,7 @@ def _distribution(axes: Any, analysis: Analysis, only: Sequence[str]) -> None:
             axes.barh(names, shares, left=left, label="%d" % count, xerr=off, ecolor="0.3")
         left += shares
     axes.invert_yaxis()
+    axes.set_xlim(0.0, 1.02)
     axes.set_xlabel("probability in the steady state" + answers.says)
     axes.legend(title="tokens", fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
