@@ -53,16 +53,19 @@ def answer_queries(
         print(json.dumps(data, indent=2, ensure_ascii=False))
     else:
         print_notes(notes)
-        print("\n".join(_text(answers, timing)))
+        print("\n".join(query_lines(answers, timing)))
     return int(any(answer.undecided for answer in answers))
 
 
-def _text(answers: List[QueryAnswer], timing: Mapping[str, Any]) -> Iterator[str]:
+def query_lines(answers: List[QueryAnswer], timing: Mapping[str, Any]) -> Iterator[str]:
+    """Answers in lines of text, then what their intervals take into account, and what is assumed."""
     for answer in answers:
         yield query_text(answer)
     sources = dict.fromkeys(source for answer in answers for source in answer.interval_sources)
     if sources:
         yield "    the intervals take into account that %s" % " and ".join(sources)
+    for left_out in dict.fromkeys(answer.left_out for answer in answers if answer.left_out):
+        yield "    %s" % left_out
     for assumption in timing.get("assumptions", ()):
         yield "    assumed: %s" % assumption
 

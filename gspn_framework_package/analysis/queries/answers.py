@@ -59,6 +59,7 @@ class QueryAnswer(NamedTuple):
     :ivar sequence: firings that lead to a marking which decides a query ``EF`` or ``AG``.
     :ivar marking: that marking, without empty places.
     :ivar undecided: why it is not decided; "" if it is.
+    :ivar left_out: what the interval does not take into account: a sentence; "" if nothing.
     """
 
     query: str
@@ -70,6 +71,7 @@ class QueryAnswer(NamedTuple):
     marking: Optional[Dict[str, int]] = None
     undecided: str = ""
     interval_sources: Sequence[str] = ()
+    left_out: str = ""
 
     def to_json(self) -> Dict[str, Any]:
         """As plain JSON values."""
@@ -124,6 +126,7 @@ class _Work:
             interval=(low, high),
             decided_by="Markov chain",
             interval_sources=spread.sources,
+            left_out=spread.left_out,
         )
         if query.bound is None:
             return answer

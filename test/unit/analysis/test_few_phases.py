@@ -11,9 +11,11 @@ from gspn_framework_package.analysis import intervals
 from gspn_framework_package.analysis.analyse import Analysis
 from gspn_framework_package.analysis.intervals import steady_intervals
 from gspn_framework_package.analysis.monitoring.prediction import Parameters
+from gspn_framework_package.analysis.queries.answers import answer_query
 from gspn_framework_package.analysis.report import Questions, report
 from gspn_framework_package.analysis.sweeps.variation import read_variation, varied
 from gspn_framework_package.cli.main import main
+from gspn_framework_package.cli.queries import query_lines
 from gspn_framework_package.formats.plan_file import read_plan
 from gspn_framework_package.formats.plan_json import plan_to_json
 from gspn_framework_package.model.builder import NetBuilder
@@ -270,6 +272,8 @@ def test_an_interval_that_was_not_computed_is_not_known(learned, monkeypatch):
     found, notes = steady_intervals(analysis)
     assert "how short the logs are is left out" in notes[1]
     assert notes[0] == "the intervals take into account that durations are replaced"
+    query = answer_query(analysis, "S=? [ Short >= 1 ]")
+    assert query.left_out == notes[1] and notes[1] in "".join(query_lines([query], {}))
 
     def refuse(other):
         raise LimitError("not solved")
