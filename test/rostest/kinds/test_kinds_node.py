@@ -241,6 +241,7 @@ class KindsTest(RobotTestCase):
         for level in (0.9, 0.0, 0.8, 0.25, 0.125):
             publisher.publish(level)
         self.assertEqual(robot.end(), ("", "", "", {"level": 0.25}))
+        wait_for(lambda: len(heard) == 6, what="the last message, which ends no wait")
         self.assertEqual(
             robot.do("P2")[1:3],
             ("timeout", "the action took longer than 0.3 s (timeout in the plan)"),
