@@ -58,7 +58,7 @@ def answer_queries(
 
 
 def query_lines(answers: List[QueryAnswer], timing: Mapping[str, Any]) -> Iterator[str]:
-    """Answers in lines of text, then what their intervals take into account, and what is assumed."""
+    """Answers in lines of text, then what their intervals take into account, and assumptions."""
     for answer in answers:
         yield query_text(answer)
     sources = dict.fromkeys(source for answer in answers for source in answer.interval_sources)

@@ -183,8 +183,8 @@ export class AnswerPieces {
     );
   }
 
-  /** Bars of the distribution of a place's token count; the user chooses the place. `endsOf(place, count)`: the interval
-   * of a probability. */
+  /** Bars of the distribution of a place's token count; the user chooses the place. `endsOf(place, count)`: the
+   * interval of a probability. */
   distribution(byPlace, endsOf = () => null) {
     const names = Object.keys(byPlace);
     if (!names.length) return null;

@@ -20,9 +20,9 @@ const BLURRED = 3; // the drawing of a large net is stretched up to this factor 
 const limited = (k) => Math.min(NEAREST, Math.max(FARTHEST, k));
 
 export class Camera {
-  /** `view`: the net view. Its `moving` layers have the transform at which they were last drawn; the sheets that contain
-   * them have the difference to the present one. A large net takes long to draw, so only the sheets move until the view
-   * rests. */
+  /** `view`: the net view. Its `moving` layers have the transform at which they were last drawn; the sheets that
+   * contain them have the difference to the present one. A large net takes long to draw, so only the sheets move until
+   * the view rests. */
   constructor(view) {
     this.view = view;
     this.dirty = false; // whether the transform has changed since it was drawn

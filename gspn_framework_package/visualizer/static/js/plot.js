@@ -212,9 +212,7 @@ export class Chart {
       s("text", { x: (LEFT + W - RIGHT) / 2, y: H - 2, "text-anchor": "middle", text: xName }),
     );
     const line = (points) =>
-      points
-        .map(([x, y], j) => `${j ? "L" : "M"}${px(x).toFixed(1)} ${py(y).toFixed(1)}`)
-        .join("");
+      points.map(([x, y], j) => `${j ? "L" : "M"}${px(x).toFixed(1)} ${py(y).toFixed(1)}`).join("");
     bands.forEach((runs, i) =>
       runs.forEach(([low, high]) => {
         const path = s("path.interval", { d: `${line([...low, ...high.reverse()])}Z` });

@@ -216,7 +216,9 @@ export class Files {
       if (theirs?.draft) {
         if (!this.take(theirs).length)
           return this.tryToPut(this.mode.document.state, this.mode.opened.etag);
-        this.mode.say("Not saved: both of you changed the same parts. Review them, then save again.");
+        this.mode.say(
+          "Not saved: both of you changed the same parts. Review them, then save again.",
+        );
         return false;
       }
       if (theirs) return this.settle(state, theirs);
