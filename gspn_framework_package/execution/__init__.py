@@ -8,5 +8,5 @@ Modules: ``actions``, ``agreement``, ``attempts``, ``breakpoints``, ``chance``, 
 ``logged_attempts``, ``net_difference``, ``observation``, ``parent_death``, ``phase``,
 ``plan_change``, ``plan_modules``, ``replayer``, ``rules``, ``seen_firings``, ``simulator``,
 ``standalone``, ``stored_policy``, ``task_turn``, ``team_messages``, ``team_state``, ``team_tasks``,
-``token_game``, ``turn``, ``verifier``, ``virtual_time``, ``worker_pool``.
+``timed_get``, ``token_game``, ``turn``, ``verifier``, ``virtual_time``, ``worker_pool``.
 """

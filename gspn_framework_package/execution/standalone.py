@@ -69,6 +69,7 @@ from gspn_framework_package.execution.log_entries import NOTHING
 from gspn_framework_package.execution.log_writer import EventLogWriter
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_state import TeamState
+from gspn_framework_package.execution.timed_get import get_within
 from gspn_framework_package.execution.token_game import Step, TokenGame, robots_in
 from gspn_framework_package.execution.worker_pool import WorkerPool
 from gspn_framework_package.model.errors import (
@@ -294,7 +295,7 @@ class StandaloneExecutor:
         deadline = time.monotonic() + timeout
         while True:
             try:
-                why = answers.get(timeout=0.05)
+                why = get_within(answers, 0.05)
                 break
             except queue.Empty:
                 if self.over:
@@ -419,9 +420,9 @@ class StandaloneExecutor:
         clock = next_of_clock(self.game, self.state, time.time())
         if clock is not None:
             times.append(now + min(clock[0], _LOOK_AT_CLOCK))
-        timeout = max(0.0, min(times) - now) if times else None
+        timeout = min(times) - now if times else None
         try:
-            entries = self._queue.get(timeout=timeout)()
+            entries = get_within(self._queue, timeout)()
         except queue.Empty:
             entries = []
         if any(isinstance(entry, log_entries.Adopt) for entry in entries):

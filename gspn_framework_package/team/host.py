@@ -26,6 +26,7 @@ from gspn_framework_package.execution.firing import (
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.team_messages import firing_fields, task_fields
 from gspn_framework_package.execution.team_state import StagedPlan
+from gspn_framework_package.execution.timed_get import get_within
 from gspn_framework_package.model.errors import GspnError
 from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.model.plan import Plan
@@ -302,10 +303,10 @@ class ReplicaHost:
         due = min(self._wake_at, report_due)
         if action_due is not None:
             due = min(due, action_due)
-        timeout = max(0.0, due - time.monotonic())
+        timeout = due - time.monotonic()
         for _ in range(MOST_AT_ONCE):
             try:
-                function, arguments = self._tasks.get(timeout > 0, timeout)
+                function, arguments = get_within(self._tasks, timeout)
             except queue.Empty:
                 break
             function(*arguments)

@@ -11,6 +11,7 @@ import queue
 import time
 from typing import Any, Callable, Dict, List, Mapping, Optional, Protocol, Tuple
 
+from gspn_framework_package.execution.timed_get import get_within
 from gspn_framework_package.model.errors import ExecutionError
 from gspn_framework_package.team.addressing import SILENCE_PATIENCE, robots_of_run, whom_to_order
 from gspn_framework_package.team.carrier import OperatorAnswer, OperatorRequest
@@ -78,7 +79,7 @@ def ask_robots(
     deadline = time.monotonic() + seconds
     for _ in range(sum(asked)):
         try:
-            address, answer = answers.get(timeout=max(0.0, deadline - time.monotonic()))
+            address, answer = get_within(answers, deadline - time.monotonic())
         except queue.Empty:
             break
         found[address] = answer

@@ -38,6 +38,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tu
 from gspn_framework_package.analysis.monitoring.monitor import ALARM_EVERY, Monitor
 from gspn_framework_package.analysis.monitoring.streams import PACES, Alarm, Stream
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.timed_get import get_within
 from gspn_framework_package.model.outcome import Outcome
 from gspn_framework_package.model.plan import Plan, RobotSpec
 from gspn_framework_package.model.plan_timing import POLICY, PlanTiming
@@ -301,7 +302,7 @@ class LiveComparison:
         due = 0.0
         while not self._stop.is_set():
             try:
-                events = self._queue.get(timeout=COMPARISON_PERIOD / 4)
+                events = get_within(self._queue, COMPARISON_PERIOD / 4)
             except queue.Empty:
                 events = ()
             for event in events or ():

@@ -30,6 +30,7 @@ from gspn_framework_package.execution.displayed_data import order_text
 from gspn_framework_package.execution.enabled_set import EnabledSet
 from gspn_framework_package.execution.phase import Phase
 from gspn_framework_package.execution.plan_change import NewNames
+from gspn_framework_package.execution.timed_get import get_within
 from gspn_framework_package.model.errors import RefusedError
 from gspn_framework_package.model.net import Net
 from gspn_framework_package.model.plan import Plan
@@ -190,7 +191,7 @@ class TeamWatch(Activity):
     def _work(self) -> None:
         while not self._stop.is_set():
             try:
-                what, *seen = self._queue.get(timeout=0.1)
+                what, *seen = get_within(self._queue, 0.1)
             except queue.Empty:
                 what, seen = "nothing", []
             try:
