@@ -11,6 +11,7 @@ import rospy
 
 from gspn_framework_package.execution.agreement.interface import Message
 from gspn_framework_package.execution.team_messages import marking_lists
+from gspn_framework_package.execution.timed_get import get_within
 from gspn_framework_package.model.compact_json import compact
 from gspn_framework_package.model.errors import ExecutionError, RefusedError
 from gspn_framework_package.ros.inbound import ANSWERED, ASKED, InboundMessages
@@ -149,7 +150,7 @@ class NodeServices:
         answers: queue.SimpleQueue[Message] = queue.SimpleQueue()
         self._worker.serve(message, answers.put)
         try:
-            answer = answers.get(timeout=ANSWER_TIME)
+            answer = get_within(answers, ANSWER_TIME)
         except queue.Empty:
             raise rospy.ServiceException("no answer in time") from None
         if not answer:

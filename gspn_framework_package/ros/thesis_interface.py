@@ -20,6 +20,7 @@ import genpy
 import rospy
 
 from gspn_framework_package.execution.phase import Phase
+from gspn_framework_package.execution.timed_get import get_within
 from gspn_framework_package.model.errors import UsageError
 from gspn_framework_package.msg import FiredTransition, GSPNFiringData
 from gspn_framework_package.ros.messages import FIRED_TOPIC
@@ -130,7 +131,7 @@ class ThesisInterface:
         answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._calls.call(service, uri, service, service_class, request, answers.put)
         try:
-            return answers.get(timeout=ORDER_TIME + 1.0)
+            return get_within(answers, ORDER_TIME + 1.0)
         except queue.Empty:
             raise rospy.ServiceException("%s does not answer" % service) from None
 

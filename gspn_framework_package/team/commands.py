@@ -9,6 +9,7 @@ from typing import Any, Callable, Dict, Tuple
 from gspn_framework_package.execution import log_entries
 from gspn_framework_package.execution.actions import TEXT_LIMIT
 from gspn_framework_package.execution.agreement.interface import OrderGiven
+from gspn_framework_package.execution.timed_get import get_within
 from gspn_framework_package.model.errors import ExecutionError, GspnError
 from gspn_framework_package.model.expression import shorten
 from gspn_framework_package.team.carrier import Handlers, Operator, OperatorAnswer, OperatorRequest
@@ -75,7 +76,7 @@ class Commands:
         results: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._worker.enqueue(self._worker.order, entry, results.put)
         try:
-            result = results.get(timeout=seconds)
+            result = get_within(results, seconds)
         except queue.Empty:
             text = (
                 "the order is not in the log after %g s, but may still get there (see status)"

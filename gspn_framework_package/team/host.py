@@ -232,7 +232,7 @@ class ReplicaHost:
             answers.put(question())
 
         self.enqueue(look)
-        return answers.get(timeout=timeout)
+        return get_within(answers, timeout)
 
     def receive(self, message: interface.Message) -> None:
         """Take a protocol message."""
